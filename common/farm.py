@@ -112,34 +112,36 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
 def _group(farm: FarmConfig, name: str, count: int, observation_size: int, control: Control) -> GroupSpec:
     """Return a type of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
     adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
+    start = observation_size - _self(farm, count) - len(_added(farm, name))
     if control in ("lattice", "moves"):
         adapters = (lattice_of(farm.world, inset_of(farm, name)), *adapters)
     if control == "moves":
         marks = (_nine(ADVICE), _nine(ROUTE), _nine(PLAN))
-        suggestion = _suggestion(farm, name, count, observation_size, marks)
-        moves = NineMoves(suggestion, *_task_hints(farm, name, count, observation_size))
+        moves = NineMoves(_suggestion(farm, name, start, marks), *_task_hints(farm, name, start))
         return GroupSpec(name, count, observation_size, 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        suggestion = _suggestion(farm, name, count, observation_size, (_advice(farm, name),))
-        hints = _relay_hints(farm, name, count, observation_size)
-        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], suggestion, *hints)
+        suggestion = _suggestion(farm, name, start, (_advice(farm, name),))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], suggestion, *_relay_hints(farm, name, start))
         return GroupSpec(name, count, observation_size, 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, observation_size, 2, adapters)
 
 
-def _suggestion(farm: FarmConfig, name: str, count: int, observation_size: int, marks: Sequence[Sequence[str]]) -> int:
-    """Return where a type's observation marks an option, by the first of `marks` that it has; -1 if it has none."""
-    wanted = [names[0] for names in marks if names]
-    return next((at for first in wanted if (at := _place(farm, name, count, observation_size, first)) >= 0), -1)
+def _suggestion(farm: FarmConfig, name: str, start: int, marks: Sequence[Sequence[str]]) -> int:
+    """Return where a type's observation marks an option, by the first of `marks` that it has; -1 if it has none.
+
+    `start` is the index of the first added observation, here as below.
+    """
+    places = [_place(farm, name, start, names[0]) for names in marks if names]
+    return next((place for place in places if place >= 0), -1)
 
 
-def _task_hints(farm: FarmConfig, name: str, count: int, observation_size: int) -> tuple[int, int]:
+def _task_hints(farm: FarmConfig, name: str, start: int) -> tuple[int, int]:
     """Return where a UAV with a task sees what moves serve, and how near they lead to others; else -1."""
     served = _nine(f"units_{farm.observation.units}")[0]
-    return _both(*(_place(farm, name, count, observation_size, first) for first in (served, _nine("risk_any")[0])))
+    return _both(_place(farm, name, start, served), _place(farm, name, start, _nine("risk_any")[0]))
 
 
-def _relay_hints(farm: FarmConfig, name: str, count: int, observation_size: int) -> tuple[int, int]:
+def _relay_hints(farm: FarmConfig, name: str, start: int) -> tuple[int, int]:
     """Return where a relay sees what moves do to D_c, which its reward is charged with, and the steps left; else -1.
 
     The changes of D_c add up to D_c at the end minus that at the start, so only the last steps count.
@@ -147,7 +149,7 @@ def _relay_hints(farm: FarmConfig, name: str, count: int, observation_size: int)
     reward = farm.reward
     if name != COMMUNICATION or reward.positioning <= 0.0 or reward.positioning_sign != "corrected":
         return -1, -1
-    return _both(*(_place(farm, name, count, observation_size, first) for first in (_nine("service")[0], "left_25")))
+    return _both(_place(farm, name, start, _nine("service")[0]), _place(farm, name, start, "left_25"))
 
 
 def _both(first: int, second: int) -> tuple[int, int]:
@@ -155,12 +157,10 @@ def _both(first: int, second: int) -> tuple[int, int]:
     return (first, second) if min(first, second) >= 0 else (-1, -1)
 
 
-def _place(farm: FarmConfig, name: str, count: int, observation_size: int, wanted: str) -> int:
+def _place(farm: FarmConfig, name: str, start: int, wanted: str) -> int:
     """Return the index of one of a type's added observations; -1 if it has none of that name."""
     added = _added(farm, name)
-    if wanted not in added:
-        return -1
-    return observation_size - _self(farm, count) - len(added) + added.index(wanted)
+    return start + added.index(wanted) if wanted in added else -1
 
 
 def _self(farm: FarmConfig, count: int) -> int:

@@ -234,7 +234,8 @@ def page(data: Line) -> str:
         "AgileRL sees each type as one agent in as many environments as there are UAVs of it, because it learns\n"
         "nothing from groups of agents (`experiments/LOG.md`). Ours is ended after "
         f"{data['seconds']:.0f} s, a peer after {data['limit']:.0f} s\n"
-        f"of training; it is looked at every {data['every']:g} s, later at every tenth more time.\n"
+        f"of training. It is looked at after every {data['every']:g} s, and later after every tenth more time, so its\n"
+        "times are late by a tenth at most from then on.\n"
     )
     rates = ", ".join(f"{software} {rate:,.0f}" for software, rate in steps_per_second(data).items())
     seen = ", ".join(f"{software} {reward:.0f}" for software, reward in best.items())

@@ -266,7 +266,7 @@ class Headings:
         reach: distance that full speed along x covers in a step, as a share of the field's width.
         suggestion: index of the first of 25 numbers of the observation that mark the suggested option; see `NineMoves`.
         potential: index of the first of nine numbers of the observation, by which each of nine moves raises a potential
-            that is low at best when the episode ends; -1 if there are none. Fresh policies lower it in the last steps.
+            that should be low when the episode ends; -1 if there are none. Fresh policies lower it in the last steps.
         time_left: index of the number of the observation that falls from 1 to 0 in these steps.
     """
 
@@ -296,7 +296,7 @@ class Headings:
             raise ConfigError(f"the reach of headings must be positive and finite, not {self.reach}.")
 
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index and observations hold a position and the suggestion."""
+        """Raise ConfigError unless the action is one index and observations hold a position, suggestion and hints."""
         if action_size != 1 or observation_size < POSITION.stop:
             raise ConfigError("headings need x and y in the observation, and are chosen by one index.")
         if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:

@@ -17,9 +17,10 @@ LEASE_MS: Final = 4000
 CONNECT_MS: Final = 1000
 """Time limit of one attempt to connect."""
 RETRY: Final = {"period_init_ms": 100, "period_max_ms": 4000, "period_increase_factor": 1.2}
-"""Pauses between two tries to connect, within an attempt and after a connection is lost.
+"""Pauses between two tries to connect without TLS, within an attempt and after a connection is lost.
 
-Zenoh's own first pause takes a whole attempt, so that a process joined up to 1.2 s after the learner listened.
+Zenoh's own first pause takes a whole attempt, so that a process joined up to 1.2 s after the learner listened. With TLS
+Zenoh's own stay: each try with a certificate that is refused keeps newcomers out for 100 ms.
 """
 ACCEPT_MS: Final = 4000
 """Time that a connection has to become a session, after its TLS handshake."""
@@ -90,10 +91,11 @@ def connecting(endpoint: Endpoint, lane: Lane) -> Values:
         "connect/endpoints": [endpoint.locator(lane)],
         "connect/timeout_ms": CONNECT_MS,
         "connect/exit_on_failure": True,
-        "connect/retry": RETRY,
     }
     credentials = endpoint.credentials
-    if credentials is not None:
+    if credentials is None:
+        values["connect/retry"] = RETRY
+    else:
         values["transport/link/tls"] = {
             **_tls(credentials),
             "connect_certificate": str(credentials.certificate),

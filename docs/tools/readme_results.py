@@ -152,10 +152,11 @@ def _seeds_line(default: dict[str, Any]) -> str:
     minutes = [run["seconds"] / 60 for run in runs]
     soon = [[run["reached"][share] for run in runs] for share in ("0.5", "0.75", "0.9", "1")]
     times = ", ".join("never" if None in times else f"{max(times):.0f}" for times in soon)
+    fresh = "; the first two before it learns anything" if soon[0] == soon[1] else ""
     return f"""{len(runs)} seeds score {shown(default["reward"])} on farms {first}..{first + default["farms"] - 1}
         (each: {each}; the lawnmower {default["lawnmower"]:.0f}), AoI {aoi}, VDF {vdf}, after {min(minutes):.0f} to
         {max(minutes):.0f} minutes each. The slowest needs {times} seconds to 50, 75, 90 and 100 % of the lawnmower's
-        reward in training, noise included.{_relays(runs)} Made by `{default["command"]}`, commit
+        reward in training, noise included{fresh}.{_relays(runs)} Made by `{default["command"]}`, commit
         {default["commit"]}."""
 
 

@@ -22,7 +22,7 @@ from learner.on_policy.sequences import Sequences
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
 LAST_GAIN = 0.01
-"""Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
+"""Gain of the actors' last layer, so that a fresh policy is nearly uniform but for `learner.on_policy.preferences`."""
 
 
 class ActorLoss(NamedTuple):

@@ -1,8 +1,8 @@
 """What fresh actors prefer before they have learned anything, as the environment's action adapter says.
 
-A fresh policy is nearly uniform otherwise. It takes options that the environment suggests, or else moves that are worth
-much and do little harm; it rests where it may, and in the last steps flies where a potential falls. Preferences are
-weights of the networks, so training can unlearn them.
+They take options that the environment suggests, or else moves that serve much and do little harm. Relays rest, and in
+the last steps fly where a potential falls. Otherwise a fresh policy is nearly uniform. Preferences are weights of the
+networks, so training can unlearn them.
 """
 
 from typing import Final
@@ -16,32 +16,34 @@ from common.team import GroupSpec
 from learner.on_policy.networks import Stack
 
 REST: Final = 2.5
-"""Logit of a resting option in a fresh policy; all others have about 0."""
+"""Logit of a resting option in a fresh policy."""
 FOLLOW: Final = 4.0
 """Logit of an option that is marked with 1 in a fresh policy unless `suggestion_logits` names another. If all others
 are marked with 0, the policy follows the mark seven times in eight (of nine)."""
-WORTH: Final = 4.0
-"""Logit of a move for each unit of its worth."""
-HARM: Final = 8.0
-"""By how much each unit of harm lowers that."""
-DESCENT: Final = 20.0
-"""Logit that a move has for each unit by which the potential falls beyond the share of the last steps that is left."""
+HARM: Final = 2.0
+"""What a unit of harm lowers a move's logit by, where a unit of worth raises it by 1; both times the type's logit."""
+DESCENT: Final = 5.0
+"""What a heading's logit rises by for each unit that the potential falls beyond the share of the last steps that is left,
+times the type's logit."""
 HEADINGS: Final = 8
 """Headings of each speed of `Headings`, 45 degrees apart."""
 DESCENT_SPEEDS: Final = (0.0, 0.9, 1.0)
-"""Shares of that logit that slow, medium and fast flight on the move's heading have."""
+"""Shares of that which slow, medium and fast flight on the heading have."""
 
 
 def prefer(stack: Stack, group: GroupSpec, logit: float) -> None:
     """Let fresh networks of a type prefer what its action adapter says.
 
+    Networks with memory only prefer to rest. Those too narrow for the hints (18 units for nine moves, 9 for headings)
+    do without them.
+
     Args:
         stack: the networks.
         group: the type.
-        logit: of a suggested option that is marked with 1.
+        logit: of a suggested option that is marked with 1; the weight of the hints is proportional to it.
 
     Raises:
-        ConfigError: the hidden layers are too narrow for the suggestion.
+        ConfigError: the hidden layers are too narrow for a suggestion.
     """
     adapter = group.adapters[0] if group.adapters else None
     if isinstance(adapter, Headings):
@@ -51,9 +53,9 @@ def prefer(stack: Stack, group: GroupSpec, logit: float) -> None:
     if adapter.suggestion >= 0:
         favour_suggestion(stack, adapter.suggestion, group.choices[0], logit)
     elif isinstance(adapter, Headings) and adapter.potential >= 0:
-        favour_descent(stack, adapter.potential, adapter.time_left)
+        favour_descent(stack, adapter.potential, adapter.time_left, logit)
     elif isinstance(adapter, NineMoves) and adapter.worth >= 0:
-        favour_worth(stack, adapter.worth, adapter.harm)
+        favour_worth(stack, adapter.worth, adapter.harm, logit)
 
 
 def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> None:
@@ -80,8 +82,8 @@ def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> N
     w3[:, :options, :options] = logit * eye
 
 
-def favour_worth(stack: Stack, worth: int, harm: int) -> None:
-    """Let fresh networks without memory favour moves of `NineMoves` by WORTH times their worth minus HARM times harm.
+def favour_worth(stack: Stack, worth: int, harm: int, logit: float) -> None:
+    """Let fresh networks without memory give moves of `NineMoves` the logit `logit` (worth - HARM harm).
 
     Networks narrower than eighteen units have no room for it and stay as they are. Negative numbers count as 0.
 
@@ -89,6 +91,7 @@ def favour_worth(stack: Stack, worth: int, harm: int) -> None:
         stack: the networks; their outputs are the nine moves.
         worth: index of the first of nine numbers in an input.
         harm: index of the first of nine more.
+        logit: weight of the preference.
     """
     moves = NineMoves.options
     if stack.layers[0].shape[2] < 2 * moves:
@@ -98,19 +101,20 @@ def favour_worth(stack: Stack, worth: int, harm: int) -> None:
     w1[:, worth : worth + moves, :moves] = eye
     w1[:, harm : harm + moves, moves : 2 * moves] = eye
     w2[:, : 2 * moves, : 2 * moves] = torch.eye(2 * moves)
-    w3[:, : 2 * moves] = torch.cat([WORTH * eye, -HARM * eye])
+    w3[:, : 2 * moves] = torch.cat([logit * eye, -HARM * logit * eye])
 
 
-def favour_descent(stack: Stack, potential: int, time_left: int) -> None:
+def favour_descent(stack: Stack, potential: int, time_left: int, logit: float) -> None:
     """Let fresh networks without memory fly on `Headings` where a potential falls, in the last steps.
 
-    The logit of a heading is about DESCENT max(0, how far the move lowers the potential - time_left), times the speed's
-    share. Networks narrower than nine units have no room for it and stay as they are.
+    The logit of a heading is about DESCENT `logit` max(0, how far the move lowers the potential - time_left), times the
+    speed's share. Networks narrower than nine units have no room for it and stay as they are.
 
     Args:
         stack: the networks; their outputs are the options of `Headings`.
         potential: index of the first of nine numbers in an input, by which each of nine moves raises the potential.
         time_left: index of the number that falls from 1 to 0.
+        logit: weight of the preference.
     """
     if stack.layers[0].shape[2] < NineMoves.options:
         return
@@ -118,16 +122,16 @@ def favour_descent(stack: Stack, potential: int, time_left: int) -> None:
     angles = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
     moves = 3 * np.rint(1.0 + np.cos(angles)).astype(int) + np.rint(1.0 + np.sin(angles)).astype(int)
     w1[:, time_left, HEADINGS] = 1.0
-    w2[:, HEADINGS, :HEADINGS] = -DESCENT
+    w2[:, HEADINGS, :HEADINGS] = -DESCENT * logit
     for heading, move in enumerate(moves.tolist()):
         w1[:, potential + move, heading] = -1.0
-        w2[:, heading, heading] = DESCENT
+        w2[:, heading, heading] = DESCENT * logit
         for speed, share in enumerate(DESCENT_SPEEDS):
             w3[:, heading, 1 + HEADINGS * speed + heading] = share
 
 
 def _cleared(stack: Stack, units: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the weights of all layers, with the first units of the hidden ones cut off from all others."""
+    """Return the weights of all layers. Nothing reaches the first units of the hidden ones, or the outputs from them."""
     w1, b1, w2, b2, w3, _ = stack.layers
     w1[:, :, :units], w2[:, :, :units], w3[:, :units] = 0.0, 0.0, 0.0
     b1[:, :units], b2[:, :units] = 0.0, 0.0

@@ -85,6 +85,7 @@ def _spec(config: RunConfig) -> EnvironmentSpec:
     from rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
     from rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
 
+    # Refuses farms that cannot be simulated.
     constants(farm, cell_counts(farm.world))
     return farm_environment(farm)
 

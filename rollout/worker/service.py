@@ -287,6 +287,8 @@ def serve(options: WorkerOptions) -> None:
     stop.install()
     if options.env is None:
         warm_up()
+        if stop:
+            return
     with connect(options.endpoint, "control", stop, options.patience) as control:
         answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
         if answer is None:

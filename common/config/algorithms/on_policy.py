@@ -39,8 +39,8 @@ class OnPolicyConfig(AlgorithmConfig):
     begin fresh, as all do without it. With type=policy, separated by commas, only these types do, and they may see more
     than the policy. Value functions always begin fresh, so give them `value_steps` first."""
     suggestion_logits: str = ""
-    """Logits in fresh policies of options that the environment suggests, as a route or plans do: type=logit separated
-    by commas, each 0 to 100; others have 4 (ours)."""
+    """Logits in fresh policies of options that the environment suggests, as a route or plans do, or else weight of what
+    they serve: type=logit separated by commas, each 0 to 100; others have 4 (ours)."""
     clip: float = 0.2
     """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95

@@ -125,15 +125,15 @@ def _sooner(reach: Results | None) -> list[list[str]]:
         for peer in peers:
             theirs = _times(reach, peer, part)
             found, verdict = _compared(own, theirs)
-            fresh = ", before it learned" if _fresh(reach, part) else ""
+            fresh = ", before it learns" if _fresh(reach, part) else ""
             rows.append([name.format(part), f"than {peer}", f"{SOONER:g} times", found + fresh, verdict])
     return rows
 
 
 def _fresh(reach: Results, part: float) -> bool:
-    """Return whether fresh actors of ours earn a part of the lawnmower's reward in some seed."""
+    """Return whether fresh actors of ours earn a part of the lawnmower's reward in all seeds."""
     first = [run["points"][0] for run in reach["runs"] if run["software"] == OURS]
-    return any(point["steps"] == 0 and point["reward"] >= part * reach["bar"] for point in first)
+    return all(point["steps"] == 0 and point["reward"] >= part * reach["bar"] for point in first)
 
 
 def _times(reach: Results, software: str, part: float) -> list[tuple[float, bool]]:

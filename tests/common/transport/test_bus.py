@@ -175,7 +175,7 @@ def test_a_process_that_comes_too_early_tries_again_soon() -> None:
             except OSError:
                 pass
 
-        host = threading.Thread(target=hang_up)
+        host = threading.Thread(target=hang_up, daemon=True)
         host.start()
         with pytest.raises(EndpointError):
             Bus.connect(endpoint, "control", wait=0.0)

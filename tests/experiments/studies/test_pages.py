@@ -107,10 +107,10 @@ def test_sooner_means_ten_times():
 def test_times_of_fresh_actors_are_marked():
     """What ours earns before it learns is no time of learning."""
     found = reach(("EIA-SEC", [(3.0, 800.0), (20.0, 1000.0)]), ("AgileRL", [(150.0, 1000.0)]))
-    assert "before it learned" not in targets_block(None, None, found)
+    assert "before it learns" not in targets_block(None, None, found)
     found["runs"][0]["points"][0]["steps"] = 0
     lines = [line for line in targets_block(None, None, found).splitlines() if "than AgileRL" in line]
-    assert [", before it learned" in line for line in lines] == [True, True, False, False]
+    assert [", before it learns" in line for line in lines] == [True, True, False, False]
 
 
 def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():

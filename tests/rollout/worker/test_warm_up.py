@@ -5,6 +5,7 @@ import pytest
 from common.errors import EndpointError
 from common.transport.endpoint import free_endpoint
 from rollout.worker import service
+from rollout.worker.collector import Collector
 from rollout.worker.service import WorkerOptions, serve
 from rollout.worker.warm_up import warm_up
 
@@ -20,11 +21,22 @@ def test_the_simulator_is_loaded_for_farms_only(env, wanted, monkeypatch):
     assert done == wanted
 
 
+def test_a_worker_that_is_stopped_while_it_loads_does_not_connect(monkeypatch):
+    """It ends as one that was stopped, and not as one that found no learner."""
+    monkeypatch.setattr(service, "warm_up", lambda: None)
+    monkeypatch.setattr(service.StopSignal, "install", lambda self: self.event.set())
+    assert serve(WorkerOptions("run", "0", free_endpoint(), patience=0.0)) is None
+
+
 def test_everything_that_flies_is_loaded(monkeypatch):
-    """It collects a chunk as a worker does."""
-    collected = []
-    monkeypatch.setattr(
-        "rollout.worker.warm_up.Collector.collect", lambda self, *rest, **more: collected.append(self.team)
-    )
+    """It collects one step as a worker does, of a farm with all UAVs."""
+    chunks = []
+
+    def collect(self, *rest, **more):
+        chunks.append(collected(self, *rest, **more))
+        return chunks[-1]
+
+    collected = Collector.collect
+    monkeypatch.setattr(Collector, "collect", collect)
     warm_up()
-    assert [team.agents for team in collected] == [12]
+    assert [(chunk.rows.steps, chunk.rows.reward.shape[1]) for chunk in chunks] == [(1, 12)]
