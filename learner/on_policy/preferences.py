@@ -23,8 +23,8 @@ are marked with 0, the policy follows the mark seven times in eight (of nine).""
 HARM: Final = 2.0
 """What a unit of harm lowers a move's logit by, where a unit of worth raises it by 1; both times the type's logit."""
 DESCENT: Final = 5.0
-"""What a heading's logit rises by for each unit that the potential falls beyond the share of the last steps that is left,
-times the type's logit."""
+"""What a heading's logit rises by for each unit that the potential falls beyond the share of the last steps that is
+left, times the type's logit."""
 HEADINGS: Final = 8
 """Headings of each speed of `Headings`, 45 degrees apart."""
 DESCENT_SPEEDS: Final = (0.0, 0.9, 1.0)
@@ -131,7 +131,7 @@ def favour_descent(stack: Stack, potential: int, time_left: int, logit: float) -
 
 
 def _cleared(stack: Stack, units: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the weights of all layers. Nothing reaches the first units of the hidden ones, or the outputs from them."""
+    """Return the weights of all layers. Nothing reaches the hidden layers' first units, or the outputs from them."""
     w1, b1, w2, b2, w3, _ = stack.layers
     w1[:, :, :units], w2[:, :, :units], w3[:, :units] = 0.0, 0.0, 0.0
     b1[:, :units], b2[:, :units] = 0.0, 0.0
