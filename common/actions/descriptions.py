@@ -1,7 +1,7 @@
 """Plain descriptions of action adapters, for the wire and for files."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
 from common.actions.adapters import HINT, LATER, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
@@ -22,11 +22,12 @@ def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
     Fields marked LATER are left out at their defaults, so that teams of earlier versions keep their digests. Fields
     marked HINT are left out always.
     """
-    described = {each.name for each in _described(ADAPTERS[adapter.kind])}
-    everything = asdict(adapter)  # type: ignore[call-overload]  # every adapter is a dataclass
-    values: dict[str, Any] = {name: value for name, value in everything.items() if name in described}
-    later = {each.name: each.default for each in fields(ADAPTERS[adapter.kind]) if LATER in each.metadata}
-    return {"kind": adapter.kind, **{name: value for name, value in values.items() if value != later.get(name)}}
+    found: dict[str, Any] = {"kind": adapter.kind}
+    for each in _described(ADAPTERS[adapter.kind]):
+        value = getattr(adapter, each.name)
+        if LATER not in each.metadata or value != each.default:
+            found[each.name] = value
+    return found
 
 
 def _described(kind: Any) -> list[Field[Any]]:

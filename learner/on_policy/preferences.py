@@ -25,10 +25,10 @@ HARM: Final = 2.0
 DESCENT: Final = 5.0
 """What a heading's logit rises by for each unit that the potential falls beyond the share of the last steps that is
 left, times the type's logit."""
-HEADINGS: Final = 8
-"""Headings of each speed of `Headings`, 45 degrees apart."""
 DESCENT_SPEEDS: Final = (0.0, 0.9, 1.0)
 """Shares of that which slow, medium and fast flight on the heading have."""
+HEADINGS: Final = (Headings.options - 1) // len(DESCENT_SPEEDS)
+"""Headings of each speed of `Headings`, in equal angles; the option before them is to rest."""
 
 
 def prefer(stack: Stack, group: GroupSpec, logit: float) -> None:
