@@ -1,11 +1,12 @@
 """A learner on a GPU that processors feed: updates by width of the networks, and whole runs by number of workers.
 
-    python -m benchmarks.gpu [--json] [--widths 64 128 256 512] [--workers 2 6 14] [--seconds 15] [--write FOLDER]
+    python -m benchmarks.gpu [--json] [--widths 64 128 256 512] [--workers 2 6 14] [--processor 1 6] [--seconds 15]
+                             [--write FOLDER]
 
 Updates are those of one iteration of the default preset, on the GPU and, with `learner.update_threads`, on the
 processor. Whole runs are processes as `eia-sec train` starts them. A worker has fewer environments the more workers
-there are, so that their chunks together are what an iteration and the next one take in. Two runs with the learner on
-the processor are there to compare.
+there are, so that their chunks together are what an iteration takes in: policies are then at most one version old. Runs
+with the learner on the processor are there to compare.
 """
 
 import argparse
@@ -34,15 +35,13 @@ from deploy.reports.provenance import provenance
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
 SETTLE_SECONDS: Final = 5.0
-ON_PROCESSOR: Final = (1, 6)
-"""Numbers of workers of the runs with a learner on the processor."""
 Line = dict[str, Any]
 
 
 def environments(config: RunConfig, workers: int) -> int:
-    """Return how many environments a worker has, so that all workers' chunks fit into two iterations."""
-    steps = 2 * config.on_policy.iteration_steps
-    return max(1, min(config.rollout.environments, steps // (config.rollout.chunk_steps * (workers + 1))))
+    """Return how many environments a worker has, so that all workers' chunks fit into an iteration."""
+    steps = config.on_policy.iteration_steps
+    return max(1, min(config.rollout.environments, steps // (config.rollout.chunk_steps * workers)))
 
 
 def updates(widths: list[int], repeats: int) -> list[Line]:
@@ -111,6 +110,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--widths", type=int, nargs="*", default=[64, 128, 256, 512], metavar="N")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--workers", type=int, nargs="*", default=[2, 6, 14], metavar="N", help="of runs on the GPU")
+    parser.add_argument("--processor", type=int, nargs="*", default=[1, 6], metavar="N", help="workers of runs without")
     parser.add_argument("--seconds", type=float, default=15.0, help="measuring time of each run")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="where results.json and README.md go")
     return parser.parse_args()
@@ -123,7 +123,7 @@ def main() -> int:
     data = {**provenance("benchmarks.gpu"), **machine()}
     keep_freed_memory()  # as every process of `eia-sec` does
     data["updates"] = updates(asked.widths, asked.repeats)
-    runs = [*(("cpu", workers) for workers in ON_PROCESSOR), *(("cuda", workers) for workers in asked.workers)]
+    runs = [*(("cpu", workers) for workers in asked.processor), *(("cuda", workers) for workers in asked.workers)]
     data["runs"] = []
     if asked.write:
         write(data, asked.write)

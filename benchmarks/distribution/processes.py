@@ -1,5 +1,6 @@
 """The processes of one run, as users start them: router, workers, coordinator and learner, on this machine."""
 
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +48,8 @@ class Processes:
         self._file, self.metrics = folder / "config.toml", folder / "run" / METRICS
         self._file.write_text(to_toml(config), encoding="utf-8")
         # The environment's module lies in the source, not in the installed packages.
-        self._supervisor = Supervisor(folder / "logs", {"PYTHONPATH": str(ROOT)})
+        paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        self._supervisor = Supervisor(folder / "logs", {"PYTHONPATH": os.pathsep.join(paths)})
         self.endpoint = free_endpoint()
         self.started = time.monotonic()
 

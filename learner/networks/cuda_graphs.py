@@ -1,18 +1,49 @@
 """Updates as CUDA graphs: each kind of update is captured once and then replayed with one call."""
 
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
+Result = TypeVar("Result")
+WARM_UPS = 3
+"""Calls before a capture, in which libraries take their memory."""
+
+
+def capture(work: Callable[[], Result], state: Iterable[Tensor]) -> tuple[torch.cuda.CUDAGraph, Result]:
+    """Capture what `work` computes on the device.
+
+    Args:
+        work: reads tensors whose addresses stay as they are, and may change those of `state`.
+        state: what `work` may change, on one device; the calls that warm up leave it as it was.
+
+    Returns:
+        The graph, and the result of `work`, whose tensors each replay overwrites.
+    """
+    kept = [(tensor.detach(), tensor.detach().clone()) for tensor in state]
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.device(kept[0][0].device):
+        side: torch.cuda.Stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(WARM_UPS):
+                work()
+        torch.cuda.current_stream().wait_stream(side)
+        # Another thread may be reading tensors for a checkpoint, which this capture must not forbid.
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+            result = work()
+    for tensor, before in kept:
+        tensor.copy_(before)
+    return graph, result
+
 
 class Graphs:
     """The captured updates of one algorithm.
 
-    A graph reads its batch and noise from buffers of its own, because a captured address must not move. Capturing
-    changes nothing: the state is put back after the updates that warm up the device.
+    A graph reads its batch and noise from buffers of its own, because a captured address must not move.
 
     Args:
         algorithm: the algorithm, on a CUDA device.
@@ -44,18 +75,4 @@ class Graphs:
         def update() -> Diagnostics | None:
             return self._algorithm.update(batch, noise, actor_step=actor_step, diagnostics=diagnostics)
 
-        state = self._algorithm.tensors()
-        kept = {name: tensor.clone() for name, tensor in state.items()}
-        side: torch.cuda.Stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
-            for _ in range(3):
-                update()
-        torch.cuda.current_stream().wait_stream(side)
-        graph = torch.cuda.CUDAGraph()
-        # Another thread may be reading tensors for a checkpoint, which this capture must not forbid.
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
-            result = update()
-        for name, tensor in state.items():
-            tensor.copy_(kept[name])
-        return graph, result
+        return capture(update, self._algorithm.tensors().values())

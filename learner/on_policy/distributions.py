@@ -38,7 +38,8 @@ def evaluate(group: GroupSpec, observation: Tensor, outputs: Tensor, action: Ten
 
 def _categorical(group: GroupSpec, observation: Tensor, logits: Tensor, action: Tensor) -> Evaluated:
     if group.masked:
-        logits = torch.where(observation[..., -group.options :] > 0.5, logits, ILLEGAL)
+        legal = observation[..., -group.options :] > 0.5
+        logits = logits.masked_fill(~legal, ILLEGAL)
     log_probability = entropy = logits.new_zeros(logits.shape[:-1])
     for index, part in enumerate(torch.split(logits, list(group.choices), dim=-1)):
         # Along the first axis torch works on many samples at once, along a short last one on one after another.

@@ -14,7 +14,7 @@ from common.protocol.bfloat16 import to_bits
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.data.array_tensors import as_array, as_tensor
-from learner.on_policy.side_by_side import SideBySide
+from learner.networks.side_by_side import SideBySide
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
 STATE: Final = "state"

@@ -74,7 +74,7 @@ class Policies(nn.Module):
         action: Tensor,
         log_probability: Tensor,
         advantage: Tensor,
-        entropy_weight: float,
+        entropy_weight: float | Tensor,
         sequences: Sequences | None = None,
     ) -> ActorLoss:
         """Return the loss of a type on a minibatch.

@@ -17,7 +17,6 @@ those of the present value functions. `objective` says what the ratio's denomina
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -30,15 +29,17 @@ from common.team import Float32, TeamSpec
 from common.transitions import Rows
 from learner.data.array_tensors import as_tensor
 from learner.networks.device import product_dtype
+from learner.networks.fused_adam import FusedAdam
+from learner.networks.side_by_side import SideBySide
 from learner.on_policy.advantages import advantages
+from learner.on_policy.captured_updates import CapturedUpdates
 from learner.on_policy.diagnostics import IterationDiagnostics
 from learner.on_policy.experience import Observations, split_actions, step_rows
-from learner.on_policy.fused_adam import FusedAdam
 from learner.on_policy.iteration_states import IterationStates
+from learner.on_policy.minibatch import Minibatch
 from learner.on_policy.networks import Stack
 from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import TypeSequences
-from learner.on_policy.side_by_side import SideBySide
 from learner.on_policy.values import make_values
 
 VALUE_BATCH = 4096
@@ -49,24 +50,6 @@ MOST_WEIGHT = 2.0
 NOTHING_SEEN = Observations((), torch.zeros(0, 0))
 COMPUTED = ("returns", "advantage")
 """Tensors of an iteration's rows, [R, agents], that are computed at its start."""
-
-
-class Minibatch(NamedTuple):
-    """What one update learns from.
-
-    Attributes:
-        places: [B] its rows' numbers in the iteration.
-        tensors: actions, log-probabilities, advantages and returns of its rows.
-        team: [B, O] observations of all agents, or [B, 0] where no value function sees them.
-        sequences: how networks with memory go through it, else None.
-        entropy_weight: w_H of a type whose scale is 1.
-    """
-
-    places: Tensor
-    tensors: dict[str, Tensor]
-    team: Tensor
-    sequences: TypeSequences | None
-    entropy_weight: float
 
 
 class Updates:
@@ -98,6 +81,9 @@ class Updates:
         self._adam = FusedAdam(
             (networks.parameters(), rate) for (_, networks), rate in zip(self._all_networks, rates, strict=True)
         )
+        # Networks with memory go through sequences, whose number differs from one minibatch to the next.
+        captures = device != "cpu" and config.memory == "none"
+        self._captured = CapturedUpdates(self._learn, self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
         gamma, scales = config.type_discounts(), config.type_entropy_scales()
@@ -150,7 +136,7 @@ class Updates:
     def _log_probability(self, kind: int, places: Tensor, action: Tensor, sequences: TypeSequences | None) -> Tensor:
         """Return log pi(a | o) [B, n] of a type's present actors for its actions [B, n, a] in some rows."""
         acting = None if sequences is None else sequences[kind][0]
-        return self.policies.log_probability(kind, self._own(kind, places), action, acting)
+        return self.policies.log_probability(kind, self._own(places, kind), action, acting)
 
     def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, TypeSequences | None]:
         """Return the rows' numbers of some samples, and for networks with memory how these follow one another."""
@@ -199,21 +185,31 @@ class Updates:
 
     def update(self, samples: NDArray[np.int64], progress: float) -> None:
         """Do one update from a minibatch; `progress` is the finished share of the run, 0 to 1."""
+        batch = self._minibatch(samples, progress)
+        captured = self._captured
+        self.diagnostics.add(self._learn(batch) if captured is None else captured.update(batch, self.stopped))
+
+    def _minibatch(self, samples: NDArray[np.int64], progress: float) -> Minibatch:
         config = self._config
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
         places, sequences = self._gathered(samples)
         tensors = {name: tensor.index_select(0, places) for name, tensor in self._rows.items()}
         team = self._seen.team if config.sees_team else self._seen.team[:, :0]
-        batch = Minibatch(places, tensors, team.index_select(0, places), sequences, weight)
+        share = 1.0 + (config.rate_end - 1.0) * progress
+        own = partial(self._own, places)
+        return Minibatch(own, tensors, team.index_select(0, places), sequences, weight, share)
+
+    def _learn(self, batch: Minibatch) -> list[dict[str, Tensor]]:
+        """Take one step of Adam for each type; return what was measured of each."""
         self._adam.forget_gradients()
         kinds = range(len(self._groups))
         gradients = self._actor_gradient, self._value_gradient
         found = self._side_by_side.run([partial(gradient, kind, batch) for gradient in gradients for kind in kinds])
-        self._adam.step(1.0 + (config.rate_end - 1.0) * progress)
-        self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
+        self._adam.step(batch.rate_share)
+        return [found[kind] | found[len(kinds) + kind] for kind in kinds]
 
-    def _own(self, kind: int, places: Tensor) -> Tensor:
-        """Return a type's observations [B, n, o] in some rows; a task draws its own, so that they are in its cache."""
+    def _own(self, places: Tensor, kind: int) -> Tensor:
+        """Return a type's observations [B, n, o] in some rows."""
         return self._seen.own[kind].index_select(0, places)
 
     def _actor_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
@@ -225,8 +221,7 @@ class Updates:
         actions = split_actions(self._team, batch.tensors["action"])[kind]
         sequences = None if batch.sequences is None else batch.sequences[kind][0]
         weight = batch.entropy_weight * self._entropy_scales[kind]
-        own = self._own(kind, batch.places)
-        part = self.policies.loss(kind, own, actions, *sampled, weight, sequences)
+        part = self.policies.loss(kind, batch.own(kind), actions, *sampled, weight, sequences)
         torch.autograd.backward(part.loss)
         return {
             "actor_loss": part.loss.detach(),
@@ -240,7 +235,7 @@ class Updates:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
         returns = batch.tensors["returns"][:, self._groups[kind][1]]
         sequences = None if batch.sequences is None else batch.sequences[kind][1]
-        loss = self.values[kind].loss(batch.team, self._own(kind, batch.places), returns, sequences)
+        loss = self.values[kind].loss(batch.team, batch.own(kind), returns, sequences)
         torch.autograd.backward(loss)
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 

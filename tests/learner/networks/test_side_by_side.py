@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from common.config import LearnerConfig, RunConfig
-from learner.on_policy.side_by_side import SideBySide
+from learner.networks.side_by_side import SideBySide
 from learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved

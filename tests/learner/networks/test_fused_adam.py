@@ -5,7 +5,7 @@ import sys
 
 import torch
 
-from learner.on_policy.fused_adam import EPSILON, FusedAdam
+from learner.networks.fused_adam import EPSILON, FusedAdam
 
 RATES = 1e-3, 3e-4
 
@@ -32,6 +32,17 @@ def test_steps_are_those_of_torch():
             assert torch.equal(moment, reference.state[theirs][name])
     adam.forget_gradients()
     assert all(parameter.grad is None for parameter in own)
+
+
+def test_a_share_may_be_a_tensor():
+    """A step whose share of the rates is a tensor is that with the number."""
+    own, other = (torch.nn.Parameter(torch.linspace(-1.0, 1.0, 9)) for _ in range(2))
+    numbers, tensors = (FusedAdam([([parameter], RATES[0])]) for parameter in (own, other))
+    for share in (1.0, 0.5, 0.25):
+        own.grad, other.grad = torch.sin(own.detach()), torch.sin(other.detach())
+        numbers.step(share)
+        tensors.step(torch.tensor(share))
+    torch.testing.assert_close(own, other, atol=0.0, rtol=1e-6)
 
 
 def test_a_learner_does_without_the_compiler_of_torch():

@@ -49,14 +49,25 @@ class FusedAdam:
             for parameter in parameters
         }
 
+    def tensors(self) -> list[Tensor]:
+        """Return everything that a step changes."""
+        return [tensor for parameter, moments in self.moments.items() for tensor in (parameter, *moments)]
+
     def forget_gradients(self) -> None:
         """Let all parameters be without a gradient."""
         for parameter in self.moments:
             parameter.grad = None
 
     @torch.no_grad()
-    def step(self, share: float = 1.0) -> None:
-        """Take one step with each parameter that has a gradient, with that share of the learning rates."""
+    def step(self, share: float | Tensor = 1.0) -> None:
+        """Take one step with each parameter that has a gradient.
+
+        Args:
+            share: share of the learning rates; a tensor [] where the step is captured in a CUDA graph.
+        """
+        adam = torch.ops.aten._fused_adam_
+        # Chosen here because torch, while it looks for the fitting one, prints tensors, which ends a capture.
+        operation = adam.tensor_lr if isinstance(share, Tensor) else adam.default
         for parameters, rate in self._groups:
             moving = [parameter for parameter in parameters if parameter.grad is not None]
             if not moving:
@@ -64,7 +75,7 @@ class FusedAdam:
             counts, means, squares = map(list, zip(*(self.moments[parameter] for parameter in moving), strict=True))
             for count in counts:
                 count.add_(1.0)
-            torch.ops.aten._fused_adam_(
+            operation(
                 moving,
                 [parameter.grad for parameter in moving],
                 means,
