@@ -52,9 +52,10 @@ _FRESH: Final = """
 start_policy = ""
 entropy_scales = "communication=0.05, collection=0.1"
 """
-AFRESH: Final = {"team 2 + 2 + 2": _FRESH, "no-fly zones": f"episodes = 2000{_FRESH}"}
-"""Settings of longer policies that begin afresh: what the preset begins as does not fit a small team, and flies into
-zones."""
+_LONG: Final = f"episodes = 2000{_FRESH}"
+AFRESH: Final = {"team 2 + 2 + 2": _FRESH, "no-fly zones": _LONG, "wind 3 m/s": _LONG}
+"""Settings of longer policies that begin afresh: what the preset begins as does not fit a small team, flies into zones,
+and observes no wind."""
 
 
 def configuration(name: str, episodes: int, seed: int) -> RunConfig:
