@@ -5,8 +5,8 @@
 
 Updates are those of one iteration of the default preset, on the GPU and, with `learner.update_threads`, on the
 processor. Whole runs are processes as `eia-sec train` starts them. A worker has fewer environments the more workers
-there are, so that their chunks together are what an iteration takes in: policies are then at most one version old. Runs
-with the learner on the processor are there to compare.
+there are, so that their chunks together are at most what an iteration takes in, and policies mostly one version old.
+Runs with the learner on the processor are there to compare.
 """
 
 import argparse
@@ -39,7 +39,7 @@ Line = dict[str, Any]
 
 
 def environments(config: RunConfig, workers: int) -> int:
-    """Return how many environments a worker has, so that all workers' chunks fit into an iteration."""
+    """Return how many environments a worker has, at least one: all workers' chunks fit into an iteration."""
     steps = config.on_policy.iteration_steps
     return max(1, min(config.rollout.environments, steps // (config.rollout.chunk_steps * workers)))
 

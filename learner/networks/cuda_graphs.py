@@ -1,6 +1,7 @@
 """Updates as CUDA graphs: each kind of update is captured once and then replayed with one call."""
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Any, TypeVar
 
 import torch
@@ -25,19 +26,25 @@ def capture(work: Callable[[], Result], state: Iterable[Tensor]) -> tuple[torch.
     """
     kept = [(tensor.detach(), tensor.detach().clone()) for tensor in state]
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.device(kept[0][0].device):
-        side: torch.cuda.Stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+    with torch.cuda.device(device := kept[0][0].device):
+        side = _stream(device)
         side.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(side):
             for _ in range(WARM_UPS):
                 work()
         torch.cuda.current_stream().wait_stream(side)
         # Another thread may be reading tensors for a checkpoint, which this capture must not forbid.
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+        with torch.cuda.graph(graph, stream=side, capture_error_mode="thread_local"):
             result = work()
     for tensor, before in kept:
         tensor.copy_(before)
     return graph, result
+
+
+@cache
+def _stream(device: torch.device) -> torch.cuda.Stream:
+    """Return the stream on which this device's work is captured; libraries keep memory for every stream they saw."""
+    return torch.cuda.Stream(device)  # type: ignore[no-untyped-call]  # torch leaves it untyped
 
 
 class Graphs:

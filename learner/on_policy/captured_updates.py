@@ -1,8 +1,7 @@
 """Updates on policy as CUDA graphs.
 
-An update starts some four hundred small kernels, which takes Python ten times as long as a GPU needs to compute them.
-Replaying a graph starts them all with one call. A graph holds for minibatches of one size, and for the types whose
-actors have not stopped.
+Starting an update's four hundred kernels from Python takes ten times as long as computing them. Replaying a graph
+starts them all with one call. A graph fits one size of minibatch and one set of types whose actors have stopped.
 """
 
 from collections import OrderedDict
@@ -15,8 +14,8 @@ from torch import Tensor
 from learner.networks.cuda_graphs import capture
 from learner.on_policy.minibatch import Minibatch
 
-MOST_GRAPHS: Final = 8
-"""How many graphs are kept; each has memory of its own for what its layers compute."""
+MOST_GRAPHS: Final = 16
+"""How many graphs are kept: with three types, those of two sizes. Each has memory of its own."""
 Learn = Callable[[Minibatch], list[dict[str, Tensor]]]
 
 
@@ -25,13 +24,17 @@ class Captured(NamedTuple):
 
     Attributes:
         graph: what computes it.
-        inputs: the buffers that it reads, in the order of `inputs_of`.
+        own: the buffers of each type's observations that it reads.
+        batch: its minibatch, which consists of buffers.
+        schedules: the buffers of its schedules' values.
         names: of each type, what was measured.
         numbers: what was measured, [all names].
     """
 
     graph: torch.cuda.CUDAGraph
-    inputs: list[Tensor]
+    own: list[Tensor]
+    batch: Minibatch
+    schedules: list[Tensor]
     names: list[list[str]]
     numbers: Tensor
 
@@ -40,51 +43,52 @@ class CapturedUpdates:
     """The captured updates of networks without memory.
 
     Args:
-        learn: computes an update of a minibatch and returns what it measured of each type.
-        state: everything that `learn` changes.
+        state: everything that an update changes.
         kinds: how many types there are.
     """
 
-    def __init__(self, learn: Learn, state: Sequence[Tensor], kinds: int) -> None:
-        self._learn, self._state, self._kinds = learn, state, kinds
+    def __init__(self, state: Sequence[Tensor], kinds: int) -> None:
+        self._state, self._kinds = state, kinds
         self._captured: OrderedDict[tuple[int, ...], Captured] = OrderedDict()
 
-    def update(self, batch: Minibatch, stopped: Sequence[bool]) -> list[dict[str, Tensor]]:
-        """Do the update; `stopped` says of each type whether its actors have stopped."""
-        given, scalars = self._inputs_of(batch)
-        graph = self._graph(batch, given, (len(batch.team), *map(int, stopped)))
-        for mine, tensor in zip(graph.inputs, given, strict=False):
-            mine.copy_(tensor)
-        for mine, number in zip(graph.inputs[len(given) :], scalars, strict=True):
+    def __len__(self) -> int:
+        """How many graphs there are."""
+        return len(self._captured)
+
+    def update(self, learn: Learn, batch: Minibatch) -> list[dict[str, Tensor]]:
+        """Do the update; `learn` computes it from a minibatch and returns what it measured of each type."""
+        captured = self._graph(learn, batch)
+        for kind, mine in enumerate(captured.own):
+            mine.copy_(batch.own(kind))
+        for name, mine in captured.batch.tensors.items():
+            mine.copy_(batch.tensors[name])
+        captured.batch.team.copy_(batch.team)
+        for mine, number in zip(captured.schedules, (batch.entropy_weight, batch.rate_share), strict=True):
             mine.fill_(number)
-        graph.graph.replay()
-        numbers = iter(graph.numbers.clone().unbind())  # the next replay overwrites them
-        return [{name: next(numbers) for name in names} for names in graph.names]
+        captured.graph.replay()
+        numbers = iter(captured.numbers.clone().unbind())  # the next replay overwrites them
+        return [{name: next(numbers) for name in names} for names in captured.names]
 
-    def _inputs_of(self, batch: Minibatch) -> tuple[list[Tensor], tuple[float | Tensor, ...]]:
-        """Return the tensors and the numbers that a minibatch consists of."""
-        own = [batch.own(kind) for kind in range(self._kinds)]
-        return [*own, batch.team, *batch.tensors.values()], (batch.entropy_weight, batch.rate_share)
-
-    def _graph(self, batch: Minibatch, given: list[Tensor], kind: tuple[int, ...]) -> Captured:
-        if kind not in self._captured:
+    def _graph(self, learn: Learn, batch: Minibatch) -> Captured:
+        """Return the graph for such a minibatch, after capturing it if there is none."""
+        key = (len(batch.team), *map(int, batch.stopped))
+        if key not in self._captured:
             if len(self._captured) == MOST_GRAPHS:
                 self._captured.popitem(last=False)
-            self._captured[kind] = self._capture(batch, given)
-        self._captured.move_to_end(kind)
-        return self._captured[kind]
+            self._captured[key] = self._capture(learn, batch)
+        self._captured.move_to_end(key)
+        return self._captured[key]
 
-    def _capture(self, batch: Minibatch, given: list[Tensor]) -> Captured:
-        inputs = [tensor.clone() for tensor in given]
-        scalars = [torch.zeros((), device=batch.team.device) for _ in range(2)]
-        own, team, rows = inputs[: self._kinds], inputs[self._kinds], inputs[self._kinds + 1 :]
-        tensors = dict(zip(batch.tensors, rows, strict=True))
-        mine = Minibatch(own.__getitem__, tensors, team, None, *scalars)
+    def _capture(self, learn: Learn, batch: Minibatch) -> Captured:
+        own = [batch.own(kind) for kind in range(self._kinds)]
+        schedules = [torch.zeros((), device=batch.team.device) for _ in range(2)]
+        tensors = {name: tensor.clone() for name, tensor in batch.tensors.items()}
+        mine = Minibatch(own.__getitem__, tensors, batch.team.clone(), None, batch.stopped, *schedules)
 
         def update() -> tuple[list[list[str]], Tensor]:
-            found = self._learn(mine)
+            found = learn(mine)
             numbers = [number.float() for measured in found for number in measured.values()]
             return [list(measured) for measured in found], torch.stack(numbers)
 
         graph, (names, numbers) = capture(update, self._state)
-        return Captured(graph, [*inputs, *scalars], names, numbers)
+        return Captured(graph, own, mine, schedules, names, numbers)

@@ -38,6 +38,7 @@ def evaluate(group: GroupSpec, observation: Tensor, outputs: Tensor, action: Ten
 
 def _categorical(group: GroupSpec, observation: Tensor, logits: Tensor, action: Tensor) -> Evaluated:
     if group.masked:
+        # `torch.where` would copy ILLEGAL to the device, which ends the capture of a CUDA graph.
         legal = observation[..., -group.options :] > 0.5
         logits = logits.masked_fill(~legal, ILLEGAL)
     log_probability = entropy = logits.new_zeros(logits.shape[:-1])

@@ -83,7 +83,7 @@ class Updates:
         )
         # Networks with memory go through sequences, whose number differs from one minibatch to the next.
         captures = device != "cpu" and config.memory == "none"
-        self._captured = CapturedUpdates(self._learn, self._adam.tensors(), len(team.groups)) if captures else None
+        self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
         gamma, scales = config.type_discounts(), config.type_entropy_scales()
@@ -185,9 +185,8 @@ class Updates:
 
     def update(self, samples: NDArray[np.int64], progress: float) -> None:
         """Do one update from a minibatch; `progress` is the finished share of the run, 0 to 1."""
-        batch = self._minibatch(samples, progress)
-        captured = self._captured
-        self.diagnostics.add(self._learn(batch) if captured is None else captured.update(batch, self.stopped))
+        batch, captured = self._minibatch(samples, progress), self._captured
+        self.diagnostics.add(self._learn(batch) if captured is None else captured.update(self._learn, batch))
 
     def _minibatch(self, samples: NDArray[np.int64], progress: float) -> Minibatch:
         config = self._config
@@ -196,8 +195,8 @@ class Updates:
         tensors = {name: tensor.index_select(0, places) for name, tensor in self._rows.items()}
         team = self._seen.team if config.sees_team else self._seen.team[:, :0]
         share = 1.0 + (config.rate_end - 1.0) * progress
-        own = partial(self._own, places)
-        return Minibatch(own, tensors, team.index_select(0, places), sequences, weight, share)
+        own, stopped = partial(self._own, places), tuple(self.stopped)
+        return Minibatch(own, tensors, team.index_select(0, places), sequences, stopped, weight, share)
 
     def _learn(self, batch: Minibatch) -> list[dict[str, Tensor]]:
         """Take one step of Adam for each type; return what was measured of each."""
@@ -214,7 +213,7 @@ class Updates:
 
     def _actor_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
-        if self.stopped[kind]:
+        if batch.stopped[kind]:
             return {}
         agents = self._groups[kind][1]
         sampled = batch.tensors["log_probability"][:, agents], batch.tensors["advantage"][:, agents]

@@ -58,7 +58,7 @@ def capturing(config):
     """Return a trainer on the processor whose updates are captured."""
     trainer = OnPolicyTrainer(config, TEAM)
     updates = trainer._updates
-    updates._captured = CapturedUpdates(updates._learn, updates._adam.tensors(), len(TEAM.groups))
+    updates._captured = CapturedUpdates(updates._adam.tensors(), len(TEAM.groups))
     return trainer
 
 
@@ -99,11 +99,12 @@ def test_the_graph_unused_longest_goes(captures):
 
     def found(size):
         rows = torch.full((size, 1), 2.0)
-        batch = Minibatch(lambda kind: 3.0 * rows, {"returns": rows}, rows[:, :0], None, 0.5, 0.25)
-        return float(updates.update(batch, [False])[0]["value_loss"])
+        batch = Minibatch(lambda kind: 3.0 * rows, {"returns": rows}, rows[:, :0], None, (False,), 0.5, 0.25)
+        return float(updates.update(learn, batch)[0]["value_loss"])
 
-    updates = CapturedUpdates(learn, [total], kinds=1)
+    updates = CapturedUpdates([total], kinds=1)
     sizes = [*range(1, MOST_GRAPHS + 1), 1, MOST_GRAPHS + 1, 1, 2]
     assert [found(size) for size in sizes] == [3.0 * size for size in sizes]
     assert float(total) == 0.5 * sum(sizes)
     assert captures.count == MOST_GRAPHS + 2
+    assert len(updates) == MOST_GRAPHS

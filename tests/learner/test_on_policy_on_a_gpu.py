@@ -31,7 +31,7 @@ def assert_same_learning(config, flown):
             assert trainer.iterations == number + 1
     assert all(tensor.is_cuda for _, tensor in device._updates.network_tensors())
     captured = device._updates._captured
-    assert captured._captured if config.on_policy.memory == "none" else captured is None
+    assert len(captured) >= 1 if config.on_policy.memory == "none" else captured is None
     wanted, found = host.state()[0], device.state()[0]
     assert wanted.keys() == found.keys()
     for name, tensor in wanted.items():
