@@ -1,6 +1,7 @@
 """The benchmark of distribution: its clock, its paced environment, what it counts, and what its page makes of it."""
 
 import json
+import os
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -11,10 +12,12 @@ from benchmarks.distribution import __main__ as command
 from benchmarks.distribution import report
 from benchmarks.distribution.farm import rates
 from benchmarks.distribution.paced import PacedEnv, Pacer, parallel_env
-from benchmarks.distribution.processes import busy
+from benchmarks.distribution.processes import Processes, busy
 from benchmarks.distribution.records import MovingReward, Tail, between
 from benchmarks.distribution.summary import summary
 from benchmarks.distribution.training import WINDOW, Task, Watch, WorkerTimes, result, train
+from benchmarks.peers.catalogue import ROOT
+from common.config import RunConfig
 from common.errors import EiaSecError, UsageError
 from common.protocol.messages import MetricMessage
 from docs.tools.measurements import distribution_block, workers_block
@@ -300,3 +303,12 @@ def test_a_process_that_only_waits_is_not_busy():
         for process in (sleeping, computing):
             process.kill()
             process.communicate()
+
+
+@pytest.mark.parametrize("inherited", ["/elsewhere", ""])
+def test_processes_find_what_this_process_finds(inherited, tmp_path, monkeypatch):
+    """The source comes first on their path, and what `PYTHONPATH` names stays."""
+    monkeypatch.setenv("PYTHONPATH", inherited)
+    processes = Processes(RunConfig(), 1, tmp_path, routed=False)
+    path = processes._supervisor._environment["PYTHONPATH"].split(os.pathsep)
+    assert path == [str(ROOT), *filter(None, [inherited])]
