@@ -19,6 +19,7 @@ PAGE: Final = Path("docs/explanation/reproduce.md")
 RESULTS: Final = Path("docs/results/reproduce")
 HEURISTICS: Final = Path("docs/results/heuristics/results.json")
 REACH: Final = Path("docs/results/reach/results.json")
+LONGER: Final = Path("docs/results/reach/longer/results.json")
 COVERAGE: Final = RESULTS / "coverage.json"
 
 
@@ -38,7 +39,7 @@ def comparison(root: Path) -> str:
 def beaten(root: Path) -> str:
     """Return the targets of the project beside the results in a repository."""
     study = full(read_json(root / RESULTS / "default" / "results.json"))
-    return targets.block(read_json(root / HEURISTICS), study, read_json(root / REACH))
+    return targets.block(read_json(root / HEURISTICS), study, *(read_json(root / path) for path in (REACH, LONGER)))
 
 
 def counted(root: Path) -> str:

@@ -104,6 +104,18 @@ def test_sooner_means_ten_times():
     assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "undecided"
 
 
+def test_runs_of_more_time_decide_about_the_whole():
+    """What was tried for longer shows that the last part takes ten times as long; other parts have more seeds."""
+    short = reach(("EIA-SEC", [(10.0, 1000.0)]), ("AgileRL", [(50.0, 600.0)]))
+    longer = reach(("EIA-SEC", [(11.0, 1000.0)]), ("AgileRL", [(120.0, 600.0)]))
+    assert verdicts(targets_block(None, None, short), "than AgileRL") == ["not met", *["undecided"] * 3]
+    assert verdicts(targets_block(None, None, short, longer), "than AgileRL") == [
+        "not met",
+        *["undecided"] * 2,
+        "met",
+    ]
+
+
 def test_times_of_fresh_actors_are_marked():
     """What ours earns before it learns is no time of learning."""
     found = reach(("EIA-SEC", [(3.0, 800.0), (20.0, 1000.0)]), ("AgileRL", [(150.0, 1000.0)]))
