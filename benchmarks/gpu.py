@@ -39,7 +39,7 @@ Line = dict[str, Any]
 
 
 def environments(config: RunConfig, workers: int) -> int:
-    """Return how many environments a worker has, at least one: all workers' chunks fit into an iteration."""
+    """Return how many environments a worker has: at least one, and else as many as fill an iteration with chunks."""
     steps = config.on_policy.iteration_steps
     return max(1, min(config.rollout.environments, steps // (config.rollout.chunk_steps * workers)))
 

@@ -32,7 +32,7 @@ DATA = {
 
 @pytest.mark.parametrize(("workers", "each"), [(1, 16), (2, 16), (3, 10), (4, 8), (6, 5), (14, 2), (32, 1), (100, 1)])
 def test_chunks_of_all_workers_fit_into_an_iteration(workers, each):
-    """Nobody has more environments than by default, and all chunks together are at most an iteration."""
+    """Nobody has more environments than by default, and chunks are at most an iteration unless one each is more."""
     config = RunConfig()
     assert gpu.environments(config, workers) == each
     if each > 1:

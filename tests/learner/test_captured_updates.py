@@ -12,8 +12,8 @@ from learner.on_policy import captured_updates
 from learner.on_policy.captured_updates import MOST_GRAPHS, CapturedUpdates
 from learner.on_policy.minibatch import Minibatch
 from learner.on_policy.trainer import OnPolicyTrainer
-from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, moved
-from tests.learner.on_policy.test_updates import CASES, configured
+from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
+from tests.learner.on_policy.test_updates import CASES
 
 
 class Replay:
