@@ -32,7 +32,6 @@ plan_paths = 54
 [algorithm]
 suggestion_logits = "collection=8"
 value_steps = 96000
-hindsight = "monitoring=1.0, collection=0.8"
 entropy_start = 0.005
 entropy_end = 0.0005
 entropy_scales = "communication=0.05, collection=0.1"
@@ -62,7 +61,6 @@ relayed = 0.2
 [algorithm]
 discounts = ""
 entropy_scales = ""
-hindsight = "monitoring=1.0, collection=0.8"
 """
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
@@ -133,7 +131,6 @@ relayed = 0.2
 [algorithm]
 discounts = ""
 entropy_scales = ""
-hindsight = "monitoring=1.0, collection=0.8"
 """
 """A farm with all of them: links that count, failures, stress, batteries, wind and no-fly zones."""
 
