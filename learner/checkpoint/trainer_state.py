@@ -33,6 +33,12 @@ MOST_COUNT: Final = 2**62
 """Upper bound of a run's counters; no run comes near it, and messages could not carry larger ones."""
 MOST_EPISODES: Final = 4096
 """Most episodes that a checkpoint may hold."""
+MOST_MEAN: Final = 7.5
+"""Bound of a gradient's running mean, as a multiple of the root of its running mean square. By the Cauchy-Schwarz
+inequality no gradients exceed (1 - 0.9) / sqrt((1 - 0.999) (1 - 0.9^2 / 0.999)) = 7.27; with a larger mean, the next
+step would take a parameter far away."""
+VANISHED: Final = 1e-15
+"""Size of gradients whose squares may have become 0; they move nothing, because Adam's epsilon is far larger."""
 
 
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -50,22 +56,29 @@ def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor])
     return {name: source[name] for name in targets}
 
 
-def require_moments(found: Mapping[str, Tensor], steps: str, squares: str) -> None:
-    """Check the counts of updates and the mean squares of gradients that an optimiser goes on from.
+def require_moments(found: Mapping[str, Tensor], steps: str, means: str, squares: str) -> None:
+    """Check what Adam goes on from: counts of steps, and running means of gradients and of their squares.
 
     Args:
         found: tensors by name.
         steps: end of the names of counts.
-        squares: end of the names of mean squares.
+        means: end of the names of gradients' means.
+        squares: end of the names of squares' means.
 
     Raises:
-        CheckpointError: when a count is negative or not whole, or a mean square negative.
+        CheckpointError: when a count is negative or not whole, a square's mean negative, or a gradient's mean larger
+            than any gradients with these squares leave behind.
     """
     for name, tensor in found.items():
         if name.endswith(steps) and bool(((tensor < 0) | (tensor != tensor.floor())).any()):
             raise CheckpointError(f"the checkpoint's {name} is no count of updates.")
-        if name.endswith(squares) and bool((tensor < 0).any()):
+        if not name.endswith(squares):
+            continue
+        if bool((tensor < 0).any()):
             raise CheckpointError(f"the checkpoint's {name} holds a negative mean square.")
+        mean = found[name.removesuffix(squares) + means]
+        if bool((mean.abs() > MOST_MEAN * tensor.sqrt() + VANISHED).any()):
+            raise CheckpointError(f"the checkpoint's {name} is too small for the gradients' means beside it.")
 
 
 def random_state(generator: np.random.Generator) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def restored_tensor(directory, found, key, forged):
 
 
 def test_forged_moments_are_refused(saved, tmp_path):
-    """Counts of updates and mean squares below zero; a count that may be is taken."""
+    """Counts of updates and mean squares below zero, means of gradients without squares; a possible count is taken."""
     found = files.load_latest(saved[0] / CHECKPOINTS)
     counts = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_steps")]
     squares = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_square")]
@@ -129,6 +129,10 @@ def test_forged_moments_are_refused(saved, tmp_path):
     for name in (*counts, *squares):
         tensor = found.tensors[name]
         assert restored_tensor(tmp_path, found, name, tensor - tensor.max() - 1) is None
+    for name in squares:
+        mean = found.tensors[name.removesuffix("_square") + "_mean"]
+        assert mean.any()
+        assert restored_tensor(tmp_path, found, name, torch.zeros_like(mean)) is None
     assert restored_tensor(tmp_path, found, counts[0], found.tensors[counts[0]] + 7) is not None
 
 

@@ -237,7 +237,7 @@ def test_a_forged_tensor_is_refused(saved):
 
 
 def test_forged_moments_are_refused(saved):
-    """A count of updates that differs within a network or is impossible, or a mean of squares below zero."""
+    """A count of updates that differs within a network or is impossible; squares below zero, or none with gradients."""
     tensors, state = saved
     counts = [name for name in tensors if name.endswith(".step")]
     squares = [name for name in tensors if name.endswith(".exp_avg_sq")]
@@ -247,7 +247,9 @@ def test_forged_moments_are_refused(saved):
     for count in (-1.0, 2.5):
         assert outcome({**tensors, **{name: torch.tensor(count) for name in counts}}, state) is None
     for name in squares:
+        assert tensors[name].any()
         assert outcome({**tensors, name: tensors[name] - 1.0}, state) is None
+        assert outcome({**tensors, name: torch.zeros_like(tensors[name])}, state) is None
 
 
 def test_a_forged_value_is_refused_or_harmless(saved):
