@@ -1,4 +1,4 @@
-"""The simulator's speed: environment steps per second and core, a single environment, threads, growth, and stages.
+"""The simulator's speed: steps per second and core, a single environment, threads, conditions, growth, and stages.
 
     python -m benchmarks.simulator [--json] [--quick] [--write docs/results/simulator]
 
@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numba
 import numpy as np
@@ -33,6 +33,9 @@ from rollout.sim.layout import make_layout
 from rollout.sim.reference.farm import ReferenceFarm
 
 FARM = preset("study").farm
+FIELD = preset("field").farm
+ENDLESS: Final = 1e6
+"""Capacity of batteries, J, that nobody empties: with random actions, UAVs would be gone for most of an episode."""
 FARMS = 20
 TABLE = 64
 """Rows of random actions that are flown again and again."""
@@ -175,6 +178,29 @@ def plot_grids() -> dict[int, FarmConfig]:
     return {k * k: replace(FARM, world=WorldConfig(plots_x=k, plots_y=k)) for k in (10, 20, 40, 80)}
 
 
+def switched() -> dict[str, FarmConfig]:
+    """Return farms by what is switched on: nothing, a condition of the preset `field`, or all of them.
+
+    UAVs observe what the preset's observe of it. Autopilots that fly to stations are left out: the simulator has none.
+    """
+    battery = replace(FIELD.battery, capacity=ENDLESS, failsafe=0.0)
+    seen = FIELD.observation
+    conditions: dict[str, tuple[dict[str, Any], dict[str, bool]]] = {
+        "links": ({"relay": FIELD.relay, "reward": FIELD.reward}, {"link": seen.link}),
+        "failures": ({"failures": FIELD.failures}, {}),
+        "stress": ({"stress": FIELD.stress}, {"stress": seen.stress}),
+        "batteries": ({"battery": battery}, {"charge": seen.charge}),
+        "wind": ({"wind": FIELD.wind}, {"wind": seen.wind}),
+        "zones": ({"zones": FIELD.zones}, {"zones": seen.zones}),
+    }
+    farms, together, views = {"none": FARM}, FARM, FARM.observation
+    for name, (parts, added) in conditions.items():
+        farms[name] = replace(FARM, **parts, observation=replace(FARM.observation, **added))
+        views = replace(views, **added)
+        together = replace(together, **parts, observation=views)
+    return {**farms, "all": together}
+
+
 def growth(farms: dict[int, FarmConfig], repeats: int) -> list[dict[str, float]]:
     """Return the cost of a step of each farm, in a batch of eight."""
     return [
@@ -235,6 +261,11 @@ def results(options: Options) -> dict[str, Any]:
         },
     }
     if not options.quick:
+        costs = {name: measure(farm, HEADLINE, 1, repeats).cpu_us for name, farm in switched().items()}
+        found["switches"] = {
+            "environments": HEADLINE,
+            "us_per_step": {name: round(us, 3) for name, us in costs.items()},
+        }
         found["scaling"] = {
             "uavs": growth(fleets(), repeats),
             "sensors": growth(sensor_fields(denser=True), repeats),

@@ -47,9 +47,19 @@ def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     return lines
 
 
+def switch_rows(switches: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return how fast the simulator is by what is switched on."""
+    return [
+        (name, f"{1e6 / us:,.0f} steps a second of one core ({us:.2f} us a step)")
+        for name, us in switches["us_per_step"].items()
+    ]
+
+
 def table(found: Mapping[str, Any]) -> str:
     """Return the results as text."""
     lines = rows(found)
+    if "switches" in found:
+        lines += [(f"switched on: {name}", text) for name, text in switch_rows(found["switches"])]
     for name, points in found.get("scaling", {}).items():
         what, how = AXES[name]
         text = ", ".join(f"{point['value']}: {point['us_per_step']:.1f}" for point in points)
@@ -98,6 +108,11 @@ def write(found: Mapping[str, Any], folder: Path) -> None:
     (folder / "simulator.json").write_text(json.dumps({**origin, **found}, indent=2) + "\n")
     page = ["# Speed of the simulator", "", f"`{origin['command']}`, commit {origin['commit']}", ""]
     page += ["| what | measured |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows(found)), ""]
+    if "switches" in found:
+        size = found["switches"]["environments"]
+        page += [f"With conditions of the preset `field` and what UAVs observe of them, in batches of {size}:", ""]
+        page += ["| switched on | measured |", "|---|---|"]
+        page += [f"| {name} | {text} |" for name, text in switch_rows(found["switches"])] + [""]
     if "scaling" in found:
         growth_figure(found["scaling"]).savefig(folder / "growth.png", dpi=150)
         page += ["![The cost of a step against UAVs, sensors and plots](growth.png)", ""]
