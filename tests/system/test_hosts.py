@@ -7,6 +7,7 @@ import pytest
 
 from experiments.network.hosts import ROLES, Hosts, evaluated, finish, happen
 from experiments.network.namespaces import laboratory
+from tests.system.fleet import PRESET
 from tests.system.hosts import LONG
 
 DELAY = 0.02
@@ -17,7 +18,7 @@ def on_hosts(folder: Path, cut: float) -> dict[str, Any]:
     with laboratory(folder, len(ROLES), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
-        fleet = Hosts(lab, "quick", LONG)
+        fleet = Hosts(lab, PRESET, LONG)
         return happen(fleet, cut) | finish(fleet)
 
 
