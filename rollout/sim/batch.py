@@ -26,8 +26,8 @@ from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_work
 from rollout.sim.kernel.flight.airspace import zone_sides
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
-from rollout.sim.stress import area_growth, first_rises, patches, shortened
-from rollout.sim.sweep_routes import divided_among, plot_centres
+from rollout.sim.stress import first_counters, patches
+from rollout.sim.sweep_routes import divided_among
 from rollout.sim.wind import wind_series
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
@@ -220,21 +220,16 @@ class FarmBatch:
 
     def _begin_counters(self, e: int, layout: Layout) -> None:
         """Set the cycles and first rises of an episode that begins, and draw patches of stress that nobody knows."""
-        state, stress, world = self._state, self.config.stress, self.config.world
-        plot_growth = area_growth(stress.faster, plot_centres(world)).reshape(layout.plot_phase.shape)
-        sensor_growth = area_growth(stress.faster, layout.sensor_xy)
-        plot_cycle = shortened(np.full(plot_growth.shape, self._constants.camera.cycle), plot_growth)
-        sensor_cycle = shortened(layout.sensor_cycle_steps, sensor_growth)
-        state.cycle[e] = np.minimum(sensor_cycle, NEVER)
-        state.age_due[e] = np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER)
-        state.level_due[e] = np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER)
-        state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
-        if stress.some:
+        state, counters = self._state, first_counters(self.config, layout)
+        state.cycle[e] = counters.sensor_cycle
+        state.age_due[e], state.level_due[e] = counters.sensor_due, counters.plot_due
+        state.rising[e] = counters.sensor_due.min(), counters.plot_due.min()
+        if self.config.stress.some:
             state.patch_place[e], state.patch_time[e] = patches(self.config, *self._seeds[e])
-            state.patch_known[e], state.stressed[e] = False, plot_growth > 1
-            state.plot_cycle[e] = np.minimum(plot_cycle, NEVER), layout.plot_phase, plot_growth
+            state.patch_known[e], state.stressed[e] = False, counters.plot_growth > 1
+            state.plot_cycle[e] = counters.plot_cycle, layout.plot_phase, counters.plot_growth
             usual = np.minimum(layout.sensor_cycle_steps, NEVER)
-            state.sensor_cycle[e] = usual, layout.sensor_phase, sensor_growth
+            state.sensor_cycle[e] = usual, layout.sensor_phase, counters.sensor_growth
 
     def step(self, action: Float32) -> None:
         """Step every environment.

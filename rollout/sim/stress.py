@@ -13,6 +13,8 @@ from common.config.farm.polygons import inside
 from common.config.farm.stress import Areas
 from common.seeds import stream
 from rollout.sim.boxes import Array
+from rollout.sim.failures import NEVER
+from rollout.sim.layout import Layout
 from rollout.sim.sweep_routes import plot_centres
 
 if TYPE_CHECKING:
@@ -34,6 +36,47 @@ class Patches(NamedTuple):
     time: NDArray[np.int64]
 
 
+class Counters(NamedTuple):
+    """How plots' VDF and sensors' AoI rise from the first step of an episode on, before any patch appears.
+
+    Attributes:
+        plot_growth: [n_px, n_py] how many times as often areas let it rise.
+        sensor_growth: [S] the same.
+        plot_cycle: [n_px, n_py] steps from one rise to the next, at most NEVER.
+        sensor_cycle: [S] the same.
+        plot_due: [n_px, n_py] step of the first rise, at most NEVER.
+        sensor_due: [S] the same.
+    """
+
+    plot_growth: NDArray[np.int64]
+    sensor_growth: NDArray[np.int64]
+    plot_cycle: NDArray[np.int64]
+    sensor_cycle: NDArray[np.int64]
+    plot_due: NDArray[np.int64]
+    sensor_due: NDArray[np.int64]
+
+
+@functools.lru_cache(maxsize=256)
+def first_counters(config: FarmConfig, layout: Layout) -> Counters:
+    """Return the counters of a farm, the same at the start of all its episodes; the arrays are read-only."""
+    world, areas = config.world, config.stress.faster
+    plot_growth = area_growth(areas, plot_centres(world)).reshape(layout.plot_phase.shape)
+    sensor_growth = area_growth(areas, layout.sensor_xy)
+    plot_cycle = shortened(np.full(plot_growth.shape, round(world.vdf_cycle / world.step_seconds)), plot_growth)
+    sensor_cycle = shortened(layout.sensor_cycle_steps, sensor_growth)
+    found = Counters(
+        plot_growth,
+        sensor_growth,
+        np.minimum(plot_cycle, NEVER),
+        np.minimum(sensor_cycle, NEVER),
+        np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER),
+        np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER),
+    )
+    for array in found:
+        array.setflags(write=False)
+    return found
+
+
 def patches(config: FarmConfig, farm_seed: int, episode_seed: int) -> Patches:
     """Return an episode's patches: centres uniform over the field, first steps over the first three quarters."""
     world, stress = config.world, config.stress
@@ -49,17 +92,9 @@ def area_growth(areas: Areas, xy: Array) -> NDArray[np.int64]:
 
     Where areas overlap, the largest growth counts.
     """
-    return _area_growth(areas, xy.tobytes()) if areas else np.ones(len(xy), np.int64)
-
-
-@functools.lru_cache(maxsize=64)
-def _area_growth(areas: Areas, places: bytes) -> NDArray[np.int64]:
-    """Return the growth at places; kept, because the episodes of a farm begin with the same ones."""
-    xy = np.frombuffer(places).reshape(-1, 2)
     grown = np.ones(len(xy), np.int64)
     for growth, corners in areas:
         grown[inside(xy, np.array(corners)) & (grown < growth)] = growth
-    grown.setflags(write=False)
     return grown
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
+from common.config.farm.polygons import following
 from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ def airspace(config: FarmConfig) -> AirspaceConstants:
 
 def zone_sides(zones: tuple[Array, ...]) -> tuple[Array, Array]:
     """Return the sides of all zones, [K, 4] as x, y of both ends, and the boxes around them, [Z, 4], m."""
-    sides = [np.concatenate([zone, np.roll(zone, -1, axis=0)], axis=1) for zone in zones]
+    sides = [np.concatenate([zone, following(zone)], axis=1) for zone in zones]
     boxes = [np.concatenate([zone.min(axis=0), zone.max(axis=0)]) for zone in zones]
     return np.concatenate([np.zeros((0, 4)), *sides]), np.array(boxes).reshape(-1, 4)
 
