@@ -64,7 +64,7 @@ class Options:
     repeats: int = 3
     """How often each measurement is made; the fastest counts."""
     quick: bool = False
-    """Leave out growth, stages and compilation."""
+    """Leave out conditions, growth, stages and compilation."""
 
 
 @dataclass(frozen=True)
@@ -263,8 +263,8 @@ def results(options: Options) -> dict[str, Any]:
     if not options.quick:
         farms = switched()
         # All farms in turn, so that what else the machine does slows all of them.
-        rounds = [{name: measure(farm, HEADLINE, 1, 1).cpu_us for name, farm in farms.items()} for _ in range(repeats)]
-        costs = {name: min(each[name] for each in rounds) for name in farms}
+        passes = [{name: measure(farm, HEADLINE, 1, 1).cpu_us for name, farm in farms.items()} for _ in range(repeats)]
+        costs = {name: min(each[name] for each in passes) for name in farms}
         found["switches"] = {
             "environments": HEADLINE,
             "us_per_step": {name: round(us, 3) for name, us in costs.items()},

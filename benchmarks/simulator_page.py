@@ -110,7 +110,11 @@ def write(found: Mapping[str, Any], folder: Path) -> None:
     page += ["| what | measured |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows(found)), ""]
     if "switches" in found:
         size = found["switches"]["environments"]
-        page += [f"With conditions of the preset `field` and what UAVs observe of them, in batches of {size}:", ""]
+        page += [
+            f"With conditions of the preset `field` and what UAVs observe of them, in batches of {size}.",
+            "No battery runs out, because UAVs that are gone would cost nothing, and no autopilots fly:",
+            "",
+        ]
         page += ["| switched on | measured |", "|---|---|"]
         page += [f"| {name} | {text} |" for name, text in switch_rows(found["switches"])] + [""]
     if "scaling" in found:

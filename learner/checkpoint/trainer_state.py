@@ -35,8 +35,8 @@ MOST_EPISODES: Final = 4096
 """Most episodes that a checkpoint may hold."""
 MOST_MEAN: Final = 7.5
 """Bound of a gradient's running mean, as a multiple of the root of its running mean square. By the Cauchy-Schwarz
-inequality no gradients exceed (1 - 0.9) / sqrt((1 - 0.999) (1 - 0.9^2 / 0.999)) = 7.27; with a larger mean, the next
-step would take a parameter far away."""
+inequality this ratio never exceeds (1 - 0.9) / sqrt((1 - 0.999) (1 - 0.9^2 / 0.999)) = 7.27. With a larger one, the
+next step would take a parameter far away."""
 VANISHED: Final = 1e-15
 """Size of gradients whose squares may have become 0; they move nothing, because Adam's epsilon is far larger."""
 

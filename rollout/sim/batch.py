@@ -354,7 +354,7 @@ def _places_in_the_open(
 ) -> Iterator[list[float]]:
     """Yield places [x, y] on the field, m, none of them in a zone."""
     while True:
-        # One call of NumPy tells for many places whether a zone holds them, for about the price of one place.
+        # Whether zones hold many places costs about as much as whether they hold one.
         places = random.random((PLACES, 2)) * (world.field_x, world.field_y)
         yield from places[~inside_any(places, zones)].tolist()
 

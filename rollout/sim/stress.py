@@ -56,7 +56,7 @@ class Counters(NamedTuple):
     sensor_due: NDArray[np.int64]
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def first_counters(config: FarmConfig, layout: Layout) -> Counters:
     """Return the counters of a farm, the same at the start of all its episodes; the arrays are read-only."""
     world, areas = config.world, config.stress.faster

@@ -121,7 +121,7 @@ def restored_tensor(directory, found, key, forged):
 
 
 def test_forged_moments_are_refused(saved, tmp_path):
-    """Counts of updates and mean squares below zero, means of gradients without squares; a possible count is taken."""
+    """Counts of updates and mean squares below zero, means of gradients too large for them; possible ones are taken."""
     found = files.load_latest(saved[0] / CHECKPOINTS)
     counts = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_steps")]
     squares = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_square")]
@@ -133,6 +133,9 @@ def test_forged_moments_are_refused(saved, tmp_path):
         mean = found.tensors[name.removesuffix("_square") + "_mean"]
         assert mean.any()
         assert restored_tensor(tmp_path, found, name, torch.zeros_like(mean)) is None
+        assert restored_tensor(tmp_path, found, name, (mean / 8.0) ** 2) is None
+        # The most that gradients can leave behind, and gradients whose squares are too small for float32.
+        assert restored_tensor(tmp_path, found, name, (mean / 7.27) ** 2 + 1e-30) is not None
     assert restored_tensor(tmp_path, found, counts[0], found.tensors[counts[0]] + 7) is not None
 
 

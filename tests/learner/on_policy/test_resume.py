@@ -250,6 +250,9 @@ def test_forged_moments_are_refused(saved):
         assert tensors[name].any()
         assert outcome({**tensors, name: tensors[name] - 1.0}, state) is None
         assert outcome({**tensors, name: torch.zeros_like(tensors[name])}, state) is None
+        mean = tensors[name.removesuffix("_sq")]
+        assert outcome({**tensors, name: (mean / 8.0) ** 2}, state) is None
+        assert outcome({**tensors, name: (mean / 7.27) ** 2 + 1e-30}, state) is not None
 
 
 def test_a_forged_value_is_refused_or_harmless(saved):

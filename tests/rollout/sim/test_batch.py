@@ -11,6 +11,7 @@ import pytest
 from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import SimulationError
+from common.seeds import stream
 from rollout.sim.batch import FarmBatch, start_positions
 from rollout.sim.kernel.compiler import decorators
 from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
@@ -219,6 +220,25 @@ def test_uavs_start_a_safe_distance_apart_in_their_plane():
         assert apart.min() >= world.safety_distance
     crowded = start_positions(WorldConfig(field_x=60.0, field_y=60.0, communication_uavs=64), 0, 0)
     assert np.isfinite(crowded).all()
+
+
+def test_start_positions_are_drawn_one_after_the_other():
+    """Each is the next of the episode's stream that is in no zone and keeps its distance within its plane."""
+    square, corner = np.array([[100.0, 100.0], [300.0, 100.0], [300.0, 300.0], [100.0, 300.0]]), np.zeros((3, 2))
+    corner[1, 0] = corner[2, 1] = 90.0
+    world = WorldConfig(communication_uavs=16, monitoring_uavs=16, collection_uavs=16)
+    random, wanted, refused = stream(5, 6, "start"), [], 0
+    for _ in range(3):
+        plane = []
+        while len(plane) < 16:
+            x, y = random.random() * 400.0, random.random() * 400.0
+            taken = max(abs(x - 200.0), abs(y - 200.0)) <= 100.0 or x + y <= 90.0
+            refused += taken
+            if not taken and all(np.hypot(x - a, y - b) >= world.safety_distance for a, b in plane):
+                plane.append((x, y))
+        wanted += plane
+    assert refused > 5
+    np.testing.assert_array_equal(start_positions(world, 5, 6, (square, corner)), wanted)
 
 
 def test_the_supply_of_an_episode_bounds_what_is_credited():
