@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
 from common.config import FarmConfig
-from common.config.farm.polygons import Flags
+from common.config.farm.polygons import Flags, following
 from rollout.sim.boxes import Array, reach
 from rollout.sim.kernel.flight.airspace import find_inside, refuse_moves, zone_sides
 from rollout.sim.layout import Layout
@@ -118,7 +118,7 @@ def _rows(places: Array) -> Array:
 
 def _around(zone: Array) -> Array:
     """Return places MARGIN off the corners of a zone, away from both sides, [C, 2] m."""
-    before, after = np.roll(zone, 1, axis=0) - zone, np.roll(zone, -1, axis=0) - zone
+    before, after = np.roll(zone, 1, axis=0) - zone, following(zone) - zone
     unit = [way / np.maximum(np.hypot(*way.T), 1e-12)[:, None] for way in (before, after)]
     middle = -(unit[0] + unit[1])
     length = np.hypot(*middle.T)[:, None]
@@ -130,7 +130,7 @@ def _around(zone: Array) -> Array:
 
 def _nearest_outside(zone: Array, goal: Array) -> Array:
     """Return for each side of a zone the nearest place to a goal, NEAR off the side on either hand, [2 C, 2] m."""
-    way = np.roll(zone, -1, axis=0) - zone
+    way = following(zone) - zone
     length = np.maximum(np.hypot(*way.T), 1e-12)[:, None]
     share = np.clip(((goal - zone) * way).sum(axis=1, keepdims=True) / length**2, 0.0, 1.0)
     normal = np.stack([way[:, 1], -way[:, 0]], axis=1) / length
