@@ -32,6 +32,7 @@ plan_paths = 54
 [algorithm]
 suggestion_logits = "collection=8"
 value_steps = 96000
+hindsight = "monitoring=1.0, collection=0.8"
 entropy_start = 0.005
 entropy_end = 0.0005
 entropy_scales = "communication=0.05, collection=0.1"
@@ -48,6 +49,7 @@ entropy_scales = "communication=0.05, monitoring=0.1, collection=0.1"
 """The default farm with plans, over PLANS; relays and monitors begin as those of the policy `trained`."""
 
 CONNECTED: Final = """
+episodes = 8000
 [farm.relay]
 require_link = true
 link_range = 100.0
@@ -61,6 +63,7 @@ relayed = 0.2
 [algorithm]
 discounts = ""
 entropy_scales = ""
+hindsight = "monitoring=1.0, collection=0.8"
 """
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
@@ -104,6 +107,7 @@ start_policy = "communication=trained, monitoring=trained"
 some 15 s. Relays and monitors begin as those of the policy `trained`."""
 
 FIELD: Final = """
+episodes = 8000
 [farm.relay]
 require_link = true
 link_range = 100.0
@@ -131,6 +135,7 @@ relayed = 0.2
 [algorithm]
 discounts = ""
 entropy_scales = ""
+hindsight = "monitoring=1.0, collection=0.8"
 """
 """A farm with all of them: links that count, failures, stress, batteries, wind and no-fly zones."""
 

@@ -101,7 +101,7 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""
-    episodes: int = 8_000
+    episodes: int = 12_000
     """Training episodes lambda_max, in total over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
