@@ -88,7 +88,7 @@ PARAMETERS: Final = KeyFamily(
     sender="learner",
     receiver="everybody",
     messages=("ParametersMessage",),
-    pace="at most every `learner.publish_seconds`, and after each imitation event",
+    pace="on policy after each iteration, else at most every `learner.publish_seconds`; after each imitation event",
 )
 PROGRESS: Final = KeyFamily(
     template="ctl/progress",

@@ -20,7 +20,8 @@ class Envelope(Message):
     Attributes:
         role, name: rollout, learner, elite, flight or vehicle, and the sender's name, unique inside its role.
         incarnation: number of the start; each start of a process of this name has a greater one.
-        sequence: number of this message on this key, counted from 1; the coordinator always sends 1.
+        sequence: number of this message on this key, counted from 1; of a request with chunks, the number of its first
+            chunk. The coordinator always sends 1.
         version: parameter version that the sender held.
     """
 
@@ -91,7 +92,8 @@ class ParametersMessage(Message):
     """The parameters of all actors, at one version.
 
     Attributes:
-        epoch: the learner's fencing epoch; parameters of a lower epoch are never applied.
+        epoch: the learner's fencing epoch; parameters of a lower epoch are not applied while a learner with a higher
+            one is alive.
         version: grows with every publication.
         event: number of imitation events already applied to these parameters.
         environment_steps: environment steps that the learner had accepted.
