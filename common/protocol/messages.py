@@ -92,8 +92,7 @@ class ParametersMessage(Message):
     """The parameters of all actors, at one version.
 
     Attributes:
-        epoch: the learner's fencing epoch; parameters of a lower epoch are not applied while a learner with a higher
-            one is alive.
+        epoch: the learner's fencing epoch; parameters of a lower one are not applied while a higher one is alive.
         version: grows with every publication.
         event: number of imitation events already applied to these parameters.
         environment_steps: environment steps that the learner had accepted.
