@@ -20,8 +20,7 @@ class Envelope(Message):
     Attributes:
         role, name: rollout, learner, elite, flight or vehicle, and the sender's name, unique inside its role.
         incarnation: number of the start; each start of a process of this name has a greater one.
-        sequence: number of this message on this key, counted from 1; of a request with chunks, the number of its first
-            chunk. The coordinator always sends 1.
+        sequence: number on this key, from 1; of a request, that of its first chunk. The coordinator always sends 1.
         version: parameter version that the sender held.
     """
 
