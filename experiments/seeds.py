@@ -52,6 +52,8 @@ class Arguments:
     """Commit that made them."""
     preset: str = "default"
     """Preset of the runs."""
+    at_once: int = 1
+    """Runs that the machine trained at the same time, which makes their times longer."""
     add: bool = False
     """Keep what the file has of other seeds."""
     write: Path = Path("docs/results/default/seeds.json")
@@ -69,7 +71,7 @@ def reached(records: list[dict[str, Any]], goal: float) -> float | None:
     return None
 
 
-def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
+def summary(path: Path, commit: str, goal: float, at_once: int = 1) -> dict[str, Any]:
     """Return what a run came to."""
     directory = RunDirectory(path)
     config, records = directory.configuration(), read_metrics(path / METRICS)
@@ -87,6 +89,7 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
         "aoi": plain["aoi"],
         "vdf": plain["vdf"],
         "seconds": records[-1]["time"],
+        "at_once": at_once,
         "environment_steps": last["environment_steps"],
         "reached": {f"{share:g}": reached(records, share * goal) for share in SHARES},
     }
@@ -112,7 +115,7 @@ def main() -> None:
     farm = RunDirectory(arguments.runs[0]).configuration().farm
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
     lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower").total.reward
-    runs = merged(earlier, [summary(path, arguments.commit, lawnmower) for path in arguments.runs])
+    runs = merged(earlier, [summary(path, arguments.commit, lawnmower, arguments.at_once) for path in arguments.runs])
     data = {
         "command": f"eia-sec train --preset {arguments.preset} --seed SEED",
         "commit": ", ".join(dict.fromkeys(run["commit"] for run in runs)),

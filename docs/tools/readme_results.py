@@ -150,13 +150,15 @@ def _seeds_line(default: dict[str, Any]) -> str:
     aoi, vdf = (shown(default[name], 3) for name in ("aoi", "vdf"))
     each = ", ".join(f"{run['reward']['mean']:.0f}" for run in runs)
     minutes = [run["seconds"] / 60 for run in runs]
+    at_once = max(run.get("at_once", 1) for run in runs)
+    beside = f", up to {at_once} at a time" if at_once > 1 else ""
     soon = [[run["reached"][share] for run in runs] for share in ("0.5", "0.75", "0.9", "1")]
     times = ", ".join("never" if None in times else f"{max(times):.0f}" for times in soon)
     fresh = "; the first two before it learns anything" if soon[0] == soon[1] else ""
     return f"""{len(runs)} seeds score {shown(default["reward"])} on farms {first}..{first + default["farms"] - 1}
         (each: {each}; the lawnmower {default["lawnmower"]:.0f}), AoI {aoi}, VDF {vdf}, after {min(minutes):.0f} to
-        {max(minutes):.0f} minutes each. The slowest needs {times} seconds to 50, 75, 90 and 100 % of the lawnmower's
-        reward in training, noise included{fresh}.{_relays(runs)} Made by `{default["command"]}`, commit
+        {max(minutes):.0f} minutes each{beside}. The slowest needs {times} seconds to 50, 75, 90 and 100 % of the
+        lawnmower's reward in training, noise included{fresh}.{_relays(runs)} Made by `{default["command"]}`, commit
         {default["commit"]}."""
 
 

@@ -89,6 +89,9 @@ def test_seeds_of_the_default_preset_are_shown_with_their_slowest() -> None:
     text = " ".join(default_block(run, study, flown, seeds, default_seeds()).split())
     assert "2 seeds score 1312 (1303..1320) on farms 1020..1099 (each: 1303, 1321; the lawnmower 1394)" in text
     assert "after 5 to 7 minutes each. The slowest needs 9, 20, 61, never seconds" in text
+    beside = {**default_seeds(), "runs": [{**run, "at_once": 2} for run in default_seeds()["runs"]]}
+    text = " ".join(default_block(run, study, flown, seeds, beside).split())
+    assert "after 5 to 7 minutes each, up to 2 at a time. The slowest needs 9," in text
 
 
 def long_seeds() -> dict[str, Any]:
