@@ -79,11 +79,11 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
     """
     data = _read(path)
     try:
-        header, metadata = _header(data)
+        header, metadata, held = _header(data)
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
         head = checked_head(metadata.get("head", "deterministic"))  # older files name no head
         memory = checked_memory(metadata.get("memory", "none"))
-        _compare(header, team, hidden, (head, memory), len(data))
+        _compare(header, team, hidden, (head, memory), held)
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
@@ -108,8 +108,8 @@ def _read(path: Path) -> bytes:
         raise PolicyError(f"the policy file {path} cannot be read: {error.strerror}.") from error
 
 
-def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the tensor entries and the metadata in the JSON header."""
+def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str], int]:
+    """Return the tensor entries and the metadata in the JSON header, and the number of bytes after it."""
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
         raise PolicyError("its header is truncated or oversized")
@@ -117,11 +117,11 @@ def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
     metadata = header.pop("__metadata__")
     if metadata.get("format") != FORMAT:
         raise PolicyError(f"it is not in the format {FORMAT!r}")
-    return header, metadata
+    return header, metadata, len(data) - 8 - length
 
 
-def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[Head, Memory], size: int) -> None:
-    """Raise PolicyError unless the header lists this team's tensors and they fit the file's size."""
+def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[Head, Memory], held: int) -> None:
+    """Raise PolicyError unless the header lists this team's tensors and the file holds their bytes."""
     if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
         raise PolicyError("its tensors are not those of its team")
     expected = 0
@@ -132,9 +132,11 @@ def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[He
         if entry["dtype"] not in _ITEM_BYTES or entry["shape"] not in shapes:
             raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shapes[0]}")
         expected += _ITEM_BYTES[entry["dtype"]] * entry["shape"][0] * numbers
-    held = max(entry["data_offsets"][1] for entry in header.values())
-    if held != expected or size < expected:
-        raise PolicyError(f"it holds {held:,} bytes of parameters, but its team needs {expected:,}")
+    listed = max(entry["data_offsets"][1] for entry in header.values())
+    if listed != expected:
+        raise PolicyError(f"it lists {listed:,} bytes of parameters, but its team needs {expected:,}")
+    if held < expected:
+        raise PolicyError(f"it is truncated: it holds {held:,} of {expected:,} bytes of parameters")
 
 
 def _digest(stored: Sequence[NDArray[Any]]) -> str:

@@ -1,5 +1,6 @@
 """Exit codes: 0 done, 1 failed, 2 a user's mistake, 130 interrupted."""
 
+import errno
 import os
 import sys
 from collections.abc import Callable
@@ -16,13 +17,15 @@ INTERRUPTED: Final = 130
 """128 + SIGINT, as in shells."""
 PIPE_CLOSED: Final = 141
 """128 + SIGPIPE: the reader of the output, such as `| head`, has exited."""
+CLOSED: Final = (errno.EACCES, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
+"""Errors of paths that lead nowhere or where this user may not go."""
 
 
 def run_command(command: Callable[[], int | None]) -> int:
     """Run a command and return its exit code.
 
-    An expected error and a full disk become one line on standard error. Any other exception is a defect and passes
-    through with its traceback.
+    An expected error, a path that cannot be used and a full disk become one line on standard error. Any other exception
+    is a defect and passes through with its traceback.
 
     Args:
         command: does the work; returns an exit code, or None for success.
@@ -40,12 +43,19 @@ def run_command(command: Callable[[], int | None]) -> int:
         _leave_output()
         return PIPE_CLOSED
     except OSError as error:
-        if error.errno not in FULL:
-            raise
-        if error.filename is None:
-            _leave_output()
-        return _complain(f"{error.filename or 'the output'} cannot be written: {error.strerror}.", FAILED)
+        return _complain(*_of_system(error))
     return DONE if code is None else code
+
+
+def _of_system(error: OSError) -> tuple[str, int]:
+    """Return a sentence and an exit code for a full disk or a path that cannot be used; raise any other error."""
+    if error.errno in CLOSED and error.filename is not None:
+        return f"{error.filename} cannot be used: {error.strerror}.", USAGE
+    if error.errno not in FULL:
+        raise error
+    if error.filename is None:
+        _leave_output()
+    return f"{error.filename or 'the output'} cannot be written: {error.strerror}.", FAILED
 
 
 def _leave_output() -> None:

@@ -4,9 +4,10 @@ import contextlib
 import io
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
+from functools import reduce
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast, get_type_hints
+from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
@@ -87,7 +88,12 @@ def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
         return config
     config = preset(named or default)
     path = _value_of(arguments, "--config")
-    return from_toml(Path(path), config) if path else config
+    if not path:
+        return config
+    try:
+        return from_toml(Path(path), config)
+    except ConfigError as error:
+        raise error if path in str(error) else ConfigError(f"{path}: {error}") from None
 
 
 def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None = None) -> T:
@@ -146,31 +152,43 @@ def _refuse_switched_off(config: RunConfig, arguments: Sequence[str]) -> None:
 def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:
     """Return the arguments with SHORT options written out, for commands that take a whole configuration.
 
-    For the others, the values of several `--set` are those of one, as the parser would keep the last one alone.
+    For the others, the values of a list that is given several times, such as `--set`, are those of one list, as the
+    parser would keep the last one alone.
     """
     if "settings" not in get_type_hints(kind):
-        return _with_one_set(arguments)
+        return reduce(_joined, sorted(_lists(kind)), list(arguments))
     words = [word.partition("=") for word in arguments]
     return [
         f"{SHORT[name]}{equals}{value}" if name in SHORT else name + equals + value for name, equals, value in words
     ]
 
 
-def _with_one_set(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with the values of all `--set` behind the first one."""
+def _lists(kind: Any) -> set[str]:
+    """Return the options of a command and of its subcommands that take several values."""
+    found = set()
+    for name, hint in get_type_hints(kind).items():
+        if get_origin(hint) is tuple:
+            found.add(f"--{name.replace('_', '-')}")
+        for member in get_args(hint):
+            found |= _lists(member) if is_dataclass(member) else set()
+    return found
+
+
+def _joined(arguments: list[str], option: str) -> list[str]:
+    """Return the arguments with all values of a list option behind the first one."""
     others: list[str] = []
     values: list[str] = []
     at, inside = 0, False
     for word in arguments:
-        if word == "--set" or word.startswith("--set="):
+        if word == option or word.startswith(f"{option}="):
             at, inside = at if values else len(others), True
-            values += [word.removeprefix("--set=")] if "=" in word else []
+            values += [word.removeprefix(f"{option}=")] if "=" in word else []
         elif inside and not word.startswith("--"):
             values.append(word)
         else:
             inside = False
             others.append(word)
-    return [*others[:at], "--set", *values, *others[at:]] if values else list(arguments)
+    return [*others[:at], option, *values, *others[at:]] if values else arguments
 
 
 def _sentence(box: str) -> str:
@@ -184,11 +202,10 @@ def _sentence(box: str) -> str:
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
+    """Return the last value of an option, as the parser does; None if it has none, or `None`."""
+    found = None
     for index, text in enumerate(arguments):
         name, equals, value = text.partition("=")
-        word = name.replace("_", "-") + equals + value
-        if word == option and index + 1 < len(arguments):
-            return arguments[index + 1]
-        if word.startswith(option + "="):
-            return word.split("=", 1)[1]
-    return None
+        if name.replace("_", "-") == option and (equals or index + 1 < len(arguments)):
+            found = value if equals else arguments[index + 1]
+    return None if found == "None" else found

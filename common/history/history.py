@@ -347,6 +347,9 @@ class History:
 
     def _keep_aside(self, path: Path, error: Exception) -> None:
         """Rename an unreadable history and report it from now on, because its records are missing here."""
+        if path.is_dir():  # somebody's folder, which stays where it is
+            self._standing = f"no history can be written: {path} is a folder."
+            return
         aside = path.with_name(path.name + ".unreadable")
         with suppress(OSError):
             os.replace(path, aside)

@@ -21,6 +21,9 @@ DEFAULT: Final = "tcp/127.0.0.1:7447"
 OWN_PORTS: Final = range(20_000, 32_000)
 """Ports among which `free_endpoint` searches."""
 
+CONSENT: Final = "add --insecure to allow it"
+"""Advice of commands that have this option."""
+
 _FORM: Final = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.\-]+):(\d{1,5})")
 
 
@@ -80,12 +83,20 @@ class Endpoint:
         except ValueError:
             return False
 
-    def require_private(self, insecure: bool) -> None:
-        """Raise EndpointError when listening here would admit strangers without authentication."""
+    def require_private(self, insecure: bool, advice: str = CONSENT) -> None:
+        """Refuse to listen where strangers would be admitted without authentication.
+
+        Args:
+            insecure: whether the user allows it.
+            advice: what else than a certificate the error recommends.
+
+        Raises:
+            EndpointError: other machines reach the address, there is no certificate, and the user does not allow it.
+        """
         if not (self.is_loopback or insecure or self.credentials is not None):
             raise EndpointError(
                 f"listening on {self} would let anybody who can reach it join, read and steer the run; give a "
-                "certificate with --tls FOLDER (see docs/reference/security.md), or add --insecure to allow it."
+                f"certificate with --tls FOLDER (see docs/reference/security.md), or {advice}."
             )
 
     def __str__(self) -> str:

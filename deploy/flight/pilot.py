@@ -9,7 +9,7 @@ The watchdog counts periods: a vehicle without a usable observation in the last 
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -93,11 +93,7 @@ class Pilot:
         self._names = actors.team.agent_names
         self._adapters = [group.adapters for group in actors.team.groups for _ in range(group.count)]
         places = _places(actors)
-        strangers = sorted(set(agents.values()) - set(self._names))
-        if strangers:
-            raise ConfigError(f"there is no agent {strangers[0]!r}; the policy's are {', '.join(self._names)}.")
-        if len(set(agents.values())) != len(agents):
-            raise ConfigError("two vehicles have the same agent; each needs its own.")
+        require_agents(agents, self._names, "the policy's")
         numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
         self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
         self._row = np.zeros((1, actors.team.observation_size), np.float32)
@@ -260,6 +256,24 @@ class Pilot:
         found = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
         rest = sum(map(len, vehicles_by.values())) - sum(len(vehicles) for _, vehicles in common)
         return [*found, *([f"{rest} more hover for other reasons."] if rest else [])]
+
+
+def require_agents(agents: Mapping[str, str], known: Sequence[str], whose: str) -> None:
+    """Refuse vehicles of an agent that does not exist, and two vehicles of one agent.
+
+    Args:
+        agents: each vehicle's agent.
+        known: the agents that there are.
+        whose: the possessive for the error's sentence, "the policy's" for instance.
+
+    Raises:
+        ConfigError: an agent does not exist or has two vehicles.
+    """
+    strangers = sorted(set(agents.values()) - set(known))
+    if strangers:
+        raise ConfigError(f"there is no agent {strangers[0]!r}; {whose} are {', '.join(known)}.")
+    if len(set(agents.values())) != len(agents):
+        raise ConfigError("two vehicles have the same agent; each needs its own.")
 
 
 def _named(vehicles: list[str]) -> str:

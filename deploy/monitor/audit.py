@@ -149,13 +149,16 @@ def audit(run_dir: Path) -> Audit:
     """Audit a run directory.
 
     Raises:
-        RunDirError: when it holds no history of a learner, one that cannot be read, or more lines than MOST_LINES.
+        RunDirError: when it holds no history of a learner, one without a start, one that cannot be read, or more lines
+            than MOST_LINES.
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():
         raise RunDirError(f"{run_dir} has no {HISTORY}/learner.jsonl; is it a run directory?")
     found = Audit()
     received = _learner(_records(folder / "learner.jsonl", found), found)
+    if not (found.starts or found.damaged):  # a start that is damaged is named instead
+        raise RunDirError(f"{folder / 'learner.jsonl'} holds no start of a learner; there is nothing to audit.")
     sent: dict[Source, _Sent] = {}
     for path in sorted(folder.glob("*.jsonl")):
         if path.name != "learner.jsonl":

@@ -52,7 +52,7 @@ class ReproduceArguments:
     uavs: tuple[int, ...] = ()
     """Team sizes of scalability; by default all of the scale's, and in any case 12, which the others stand beside."""
     plan: bool = False
-    """Only say what is missing and how long it takes."""
+    """Only say what is missing and how long it takes; the first pieces of runs are trained for the estimate."""
     redraw: bool = False
     """Only write data, pictures and pages again, from the finished runs; where some are missing, from the results."""
 

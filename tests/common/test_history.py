@@ -160,6 +160,18 @@ def test_a_disk_that_becomes_read_only_stops_nobody(tmp_path, monkeypatch):
     assert [r.last for r in read(path)[0]] == [2]
 
 
+def test_a_folder_in_place_of_a_history_stays(tmp_path):
+    """Somebody's folder is not put aside as a history would be; that nothing is written is said."""
+    folder = tmp_path / "kept"
+    folder.mkdir()
+    (folder / "theirs").write_text("x")
+    one = History(folder)
+    one.add(chunk(1))
+    assert one.failure
+    assert (folder / "theirs").read_text() == "x"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["kept"]
+
+
 def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
     """What earlier starts wrote is put aside, not overwritten, and the alarm stays while the new history grows."""
     path = tmp_path / "h.jsonl"

@@ -135,6 +135,16 @@ def test_a_file_cut_anywhere_is_refused(path):
             load_policy(path)
 
 
+@pytest.mark.parametrize("missing", [1, 1000])
+def test_a_truncated_file_is_called_truncated(path, missing):
+    """The sentence has the bytes of parameters that are there, and those that there should be, however few are lost."""
+    data = path.read_bytes()
+    whole = len(data) - 8 - int.from_bytes(data[:8], "little")
+    path.write_bytes(data[:-missing])
+    with pytest.raises(PolicyError, match=f"it is truncated: it holds {whole - missing:,} of {whole:,} bytes of param"):
+        load_policy(path)
+
+
 def test_a_flipped_bit_among_the_numbers_is_noticed(path):
     """The digest in the header covers every parameter."""
     data = bytearray(path.read_bytes())

@@ -8,9 +8,11 @@ from common.config import EvaluationConfig, LearnerConfig, RunConfig
 from common.config.files import to_toml
 from common.errors import RunDirError
 from deploy.cli import COMMANDS, dispatch
+from deploy.commands.fleet.keys import IssueArguments, KeysArguments
+from deploy.commands.policies.fly import FlyArguments
 from deploy.exit_codes import run_command
 from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration
+from deploy.options import base_configuration, parse
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -35,7 +37,13 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--workers", "0"], "workers must be"),
         (["train", "--lockstep", "--workers", "2"], "exactly one worker"),
         (["train", "--config", "nowhere.toml"], "nowhere.toml"),
-        (["train", "--endpoint", "tcp/0.0.0.0:7447"], "insecure"),
+        (["train", "--endpoint", "tcp/0.0.0.0:7447"], "choose a loopback address"),
+        (["train", "--algorithm.hindsight", "montoring=1.0"], "hindsight names 'montoring', but the types are"),
+        (["learner", "--algorithm.discounts", "comunication=1.0"], "discounts names 'comunication'"),
+        (["train", "--algorithm.entropy-scales", "x=0.1"], "entropy_scales names 'x'"),
+        (["learner", "--algorithm.suggestion-logits", "colection=8"], "suggestion_logits names 'colection'"),
+        (["train", "--preset", "quick", "--preset", "huge"], "no preset 'huge'"),
+        (["learner", "--run", "a b"], "run 'a b'"),
         (["learner", "--listen", "nonsense"], "not an endpoint"),
         (["learner", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
         (["learner", "--listen", "tcp/h:1", "--connect", "tcp/h:1"], "not both"),
@@ -55,6 +63,9 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["alive", "rollout", "a/b"], "name 'a/b'"),
         (["rollout", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["rollout", "--run", "a/b"], "run 'a/b'"),
+        (["rollout", "--patience", "nan"], "patience must be"),
+        (["elite", "--patience", "-1"], "patience must be"),
+        (["learner", "--connect", "tcp/127.0.0.1:9", "--patience", "nan"], "patience must be"),
         (["elite", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["monitor", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["fly"], "nothing to fly"),
@@ -189,6 +200,40 @@ def test_the_overview_names_every_command(capsys: pytest.CaptureFixture[str]) ->
     assert dispatch(["--help"]) == 0
     printed = capsys.readouterr().out
     assert all(name in printed for name in COMMANDS)
+
+
+def test_the_last_of_several_values_counts(tmp_path: Path) -> None:
+    """Options that decide where to begin are read as the parser reads all others; `None` takes one back."""
+    (tmp_path / "one.toml").write_text("episodes = 77\n")
+    (tmp_path / "two.toml").write_text("seed = 5\n")
+    files = [f"--config={tmp_path / name}.toml" for name in ("one", "two")]
+    found = base_configuration(["--preset", "quick", *files, "--preset", "default"])
+    assert (found.episodes, found.seed) == (RunConfig().episodes, 5)
+    assert base_configuration([*files, "--config", "None"]) == RunConfig()
+
+
+def test_a_mistake_in_a_file_names_the_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """There may be several files, so a wrong key alone does not say where it stands."""
+    (tmp_path / "mine.toml").write_text("[algorithm]\nhiden = 3\n")
+    said = complaint(capsys, "train", "--config", str(tmp_path / "mine.toml"))
+    assert str(tmp_path / "mine.toml") in said
+    assert "hiden" in said
+
+
+def test_lists_that_are_given_several_times_are_one_list() -> None:
+    """The parser alone would keep the last one, so that a vehicle or a host is left out in silence."""
+    lists = parse(FlyArguments, ["--vehicle", "a=monitoring_0", "--rate", "5", "--vehicle=b=monitoring_1"], "fly")
+    assert (lists.vehicle, lists.rate) == (("a=monitoring_0", "b=monitoring_1"), 5.0)
+    keys = parse(KeysArguments, ["issue", "learner", "x", "--host", "one", "two", "--host", "three"], "keys")
+    assert isinstance(keys.task, IssueArguments)
+    assert keys.task.host == ("one", "two", "three")
+
+
+def test_a_history_is_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A worker leaves a folder that is named for its history as it is."""
+    (tmp_path / "kept").write_text("x")
+    assert "is no file" in complaint(capsys, "rollout", "--history", str(tmp_path), "--patience", "0")
+    assert (tmp_path / "kept").read_text() == "x"
 
 
 def test_file_goes_over_preset(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Exit codes and error messages of commands."""
 
+import errno
 import subprocess
 import sys
 
@@ -29,6 +30,15 @@ def test_mistake_of_the_user_is_one_line_and_two(kind, capsys):
     captured = capsys.readouterr()
     assert captured.err == "eia-sec: episodes must be above 0, not -1.\n"
     assert captured.out == ""
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.ENAMETOOLONG, errno.ENOTDIR])
+def test_a_path_that_cannot_be_used_is_a_mistake(number, capsys):
+    """Where a user may not go, or no path can lead, is one sentence; without a path it is a defect."""
+    assert run_command(raising(OSError(number, "no way", "runs/mine"))) == 2
+    assert capsys.readouterr().err == "eia-sec: runs/mine cannot be used: no way.\n"
+    with pytest.raises(OSError, match="no way"):
+        run_command(raising(OSError(number, "no way")))
 
 
 def test_an_error_message_commands_no_terminal(capsys):

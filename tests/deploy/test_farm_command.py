@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from common.config import FarmConfig, RunConfig
 from common.config.files import differences, from_toml, to_toml
 from common.errors import ConfigError
 from deploy.cli import dispatch
-from deploy.commands.policies.evaluate import EvaluateArguments, run
+from deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, run
 from deploy.commands.training.learner import LearnerArguments
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration, parse
@@ -134,6 +135,27 @@ def test_evaluation_flies_over_a_loaded_farm(here):
         )
         assert result.total.reward != 0.0
         assert result.per_farm[0] != result.per_farm[1]
+
+
+@pytest.mark.parametrize("value", ["farm.world.sensors=12", "farm.world.field_x=200"])
+def test_a_value_that_contradicts_the_farm_file_is_refused(here, value):
+    """`--set` goes over the farm file in every command, so all of them refuse it with the same sentence."""
+    commands = (["farm", "show"], ["evaluate", "--policy", "static"], ["replay", "--policy", "static"])
+    said = []
+    for words in commands:
+        with pytest.raises(ConfigError, match=r"\[farm\.world\]") as caught:
+            dispatch([*words, "--farm-file", "orchard.csv", "--set", value])
+        said.append(str(caught.value))
+    assert len(set(said)) == 1
+
+
+def test_single_values_go_over_the_farm_file(here):
+    """A value that the file holds, too, is the option's; another environment has no use for the file."""
+    wanted = EvaluateArguments(policy="static", farm_file=here / "orchard.csv", set=("farm.world.field_x=500",))
+    world = configuration_of(wanted).farm.world
+    assert (world.field_x, world.sensors, len(world.sites)) == (500.0, 45, 45)
+    with pytest.raises(ConfigError, match=r"--farm-file needs the farm, and this run uses some\.module:env\.$"):
+        configuration_of(replace(wanted, set=("env.name=some.module:env",)))
 
 
 def test_the_places_travel_in_the_configuration(here):

@@ -1,5 +1,6 @@
 """What all algorithms share."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -43,3 +44,10 @@ class AlgorithmConfig:
         within(0.0, 1.0, discount=self.discount, potential_discount=self.potential_discount)
         positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
         not_negative(gradient_clip=self.gradient_clip)
+
+    def require_types(self, types: Sequence[str]) -> None:
+        """Raise ConfigError where an option names a type of agent that the environment does not have.
+
+        Args:
+            types: the environment's types.
+        """

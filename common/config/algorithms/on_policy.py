@@ -1,5 +1,6 @@
 """Algorithms that learn on policy: PPO for many agents (IPPO, MAPPO), and EIA-SEC's form of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -101,6 +102,21 @@ class OnPolicyConfig(AlgorithmConfig):
         self.type_entropy_scales()
         self.type_suggestion_logits()
         self.hindsight_shares()
+
+    def require_types(self, types: Sequence[str]) -> None:
+        """Raise ConfigError where an option that somebody has set names a type that the environment does not have.
+
+        Defaults name types of the farm, whatever the environment is.
+        """
+        for option, named in (
+            ("discounts", self.type_discounts()),
+            ("entropy_scales", self.type_entropy_scales()),
+            ("suggestion_logits", self.type_suggestion_logits()),
+            ("hindsight", self.hindsight_shares()),
+        ):
+            unknown = [kind for kind in named if kind not in types]
+            if unknown and getattr(self, option) != getattr(type(self), option):
+                raise ConfigError(f"algorithm.{option} names {unknown[0]!r}, but the types are {', '.join(types)}.")
 
     @property
     def bfloat16_observations(self) -> bool:

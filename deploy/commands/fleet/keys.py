@@ -37,11 +37,11 @@ class IssueArguments(_InFolder):
     """Make the key and certificate of one process and add it to the members."""
 
     role: Role = ""
-    """learner, router, rollout, elite, operator or monitor."""
+    """learner, router, flight, rollout, elite, operator, monitor, watcher or vehicle."""
     name: Name = ""
     """The process's name: a worker's `--name`, "learner" for the learner."""
     host: tuple[str, ...] = ()
-    """Names and addresses that a learner or router listens on."""
+    """Names and addresses that a learner, router or flight node listens on; needed for these roles."""
     days: int = 365
     """Days until the certificate expires."""
 

@@ -5,18 +5,23 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import tyro
 
 from common.config.checks import within
+from common.errors import UsageError
 from common.process import StopSignal
 from common.text import printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
 from deploy.hosts.agent import MAX_LINES
-from deploy.hosts.fleet_file import read
+from deploy.hosts.fleet_file import FleetSpec, read
+from deploy.hosts.plan import here, processes
 from deploy.options import parse
+
+NAMED: Final = 8
+"""Processes that a refusal names; a fleet may have hundreds."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +42,27 @@ def command(arguments: Sequence[str]) -> int:
     """Show the logs; return 0, or 1 if a host was not reached."""
     options = parse(LogsArguments, arguments, "logs")
     within(1, MAX_LINES, lines=options.lines)
+    fleet = read(options.file)
+    _require_processes(fleet, options.process)
     if options.follow:
-        return _follow(options)
-    found, failed = operations.logs(read(options.file), options.process, options.lines)
+        return _follow(fleet, options)
+    found, failed = operations.logs(fleet, options.process, options.lines)
     for host, texts in found.items():
         for name, text in texts.items():
             sys.stdout.write(printable_lines(f"== {host} {name}\n{text}\n"))
     return _failed(failed)
 
 
-def _follow(options: LogsArguments) -> int:
+def _require_processes(fleet: FleetSpec, wanted: Sequence[str]) -> None:
+    """Raise UsageError for a name that no process of the fleet has."""
+    known = ["keeper", *(str(process.identity) for process in processes(fleet, here(fleet)))]
+    strangers = [name for name in wanted if name not in known]
+    if strangers:
+        more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
+        raise UsageError(f"{fleet.path} has no process {strangers[0]!r}; it has {', '.join(known[:NAMED])}{more}.")
+
+
+def _follow(fleet: FleetSpec, options: LogsArguments) -> int:
     lock, stop = threading.Lock(), StopSignal()
 
     def show(host: str, name: str, line: str) -> None:
@@ -58,7 +74,7 @@ def _follow(options: LogsArguments) -> int:
                 stop.event.set()
 
     stop.install()
-    failed = operations.follow(read(options.file), options.process, options.lines, show, stop)
+    failed = operations.follow(fleet, options.process, options.lines, show, stop)
     return _failed(failed)
 
 

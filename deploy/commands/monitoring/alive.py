@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 import tyro
 
+from common.config.checks import within
 from common.errors import CredentialsError, EndpointError, UsageError
 from common.names import check_name
 from common.protocol import keys
@@ -25,7 +26,8 @@ class AliveArguments:
     """Check whether a process is alive: exit code 0 if it is, 1 if not."""
 
     role: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
-    """learner, rollout, elite or router."""
+    """learner, rollout, elite or router. A router counts as alive when any listener answers at the endpoint, even a
+    learner: its name and --run are not compared."""
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
     """The process's name."""
     run: str = "farm"
@@ -46,6 +48,7 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(AliveArguments, arguments, "alive")
     if options.role not in LIVING:
         raise UsageError(f"{options.role!r} is not a role; the roles are {', '.join(LIVING)}.")
+    within(0.0, 1e9, patience=options.patience)
     key = keys.LIVE.key(check_name(options.run, "run"), role=options.role, name=options.name)
     endpoint = Endpoint.parse(options.connect, options.tls)
     who = f"{options.role} {options.name} of run {options.run}"

@@ -54,6 +54,7 @@ def command(arguments: Sequence[str]) -> int:
     if options.worker is not None:
         check_name(options.worker, "worker")
     within(0, 65_535, port=options.port)
+    within(0.0, 1e9, patience=options.patience)
     if not (options.insecure or Endpoint("tcp", options.host, 1).is_loopback):
         raise EndpointError(
             f"anybody who reaches {options.host} could watch the page; add --insecure if that is intended."

@@ -13,15 +13,18 @@ from common.config import RunConfig
 from common.config.files import from_toml, with_setting
 from common.config.presets import PRESETS
 from common.errors import PolicyError, RunDirError, UsageError
+from common.farm import require_farm
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
-from deploy.options import parse, require_env, with_farm_file
+from deploy.options import NO_FARM, parse, require_env, with_farm_file
 from deploy.reports.comparison_tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate_run
 from rollout.policies import run_policy
 from rollout.shipped_policies import preset_of
 
 MAX_FARMS: Final = 100_000
+MAX_EPISODES: Final = 1_000_000
+"""Most episodes on all farms together; the score of each is held in memory."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,11 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     farms = parse_farms(arguments.farms)
     if arguments.episodes < 1:
         raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
+    if len(farms) * arguments.episodes > MAX_EPISODES:
+        raise UsageError(
+            f"{len(farms):,} farms with {arguments.episodes:,} episodes each are too many: at most {MAX_EPISODES:,} "
+            "episodes on all farms together."
+        )
     config = configuration_of(arguments)
     name = policy_name(arguments)
     shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
@@ -106,8 +114,16 @@ def parse_farms(text: str) -> range:
     return farms
 
 
-def configuration_of(arguments: EvaluateArguments) -> RunConfig:
-    """Return the run's or the preset's configuration with the file's and the single values in it."""
+def configuration_of(arguments: EvaluateArguments, farm_only: str | None = None) -> RunConfig:
+    """Return the run's or the preset's configuration with the two files' and the single values in it.
+
+    Args:
+        arguments: the options.
+        farm_only: for a command that works only with the farm, its complaint for `common.farm.require_farm`.
+
+    Raises:
+        UsageError: something in the arguments does not exist or is impossible.
+    """
     config = PRESETS[preset_of(arguments.policy)]
     if arguments.run_dir is not None:
         path = arguments.run_dir / CONFIG
@@ -116,9 +132,15 @@ def configuration_of(arguments: EvaluateArguments) -> RunConfig:
         config = RunDirectory(arguments.run_dir).configuration()
     if arguments.config is not None:
         config = from_toml(arguments.config, config)
+    if farm_only is not None:
+        require_farm(config, farm_only)
     require_env(config, arguments.env)
     if arguments.env is not None:
         config = replace(config, env=replace(config.env, name=arguments.env))
+    if arguments.farm_file is not None:
+        config = with_farm_file(config, arguments.farm_file)
     for assignment in arguments.set:
         config = with_setting(config, assignment)
-    return with_farm_file(config, arguments.farm_file) if arguments.farm_file is not None else config
+    if arguments.farm_file is not None:
+        require_farm(config, NO_FARM)  # --set may have named another environment
+    return config

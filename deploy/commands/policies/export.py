@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Final, Literal
 
 from common.errors import RunDirError
+from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import POLICY, RunDirectory, own_folder
 from deploy.options import parse
 from deploy.policies.export import export_onnx, export_safetensors
+from rollout.policies import fitted
 
 FORMATS: Final = {"onnx": export_onnx, "safetensors": export_safetensors}
 
@@ -36,6 +38,9 @@ def command(arguments: Sequence[str]) -> int:
     if not path.is_file():
         raise RunDirError(f"{options.run_dir} has no {POLICY}: the run has not saved a policy yet.")
     actors, metadata = load_policy(path)
+    if (farm := farm_of(config)) is not None:
+        # Another environment's team is known only by running its code, which this command never does.
+        actors = fitted(actors, farm_team(farm))
     written = FORMATS[options.format](options.out or own_folder(options.run_dir, "export"), config, actors, metadata)
     sys.stdout.write("".join(f"{file}\n" for file in written))
     return DONE

@@ -50,7 +50,7 @@ class SaveArguments(Source):
     """Write a farm as CSV or GeoJSON."""
 
     out: Path = Path("farm.csv")
-    """Output file; the suffix, .csv or .geojson, selects the format."""
+    """Output file; the suffix selects the format: .csv, or .geojson or .json."""
     longitude: float = 0.0
     """Longitude of the field's south-west corner, degrees; GeoJSON only."""
     latitude: float = 0.0

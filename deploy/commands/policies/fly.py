@@ -68,6 +68,7 @@ def command(arguments: Sequence[str]) -> int:
     within(0.1, 1000.0, rate=options.rate)
     within(1, 1000, hold=options.hold)
     positive(max_age=options.max_age)
+    within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
     pilot, agents = make_pilot(options)

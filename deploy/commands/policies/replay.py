@@ -20,6 +20,8 @@ from deploy.policies.replay import Comparison, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
 from rollout.shipped_policies import SHIPPED
 
+ONLY_FARM: Final = "this run is about {}; only the farm can be replayed."
+
 FOLDER: Final = "replay"
 """Output folder in the run directory or the current directory."""
 
@@ -91,8 +93,8 @@ def _comparison(options: ReplayArguments) -> Comparison:
         farm_file=options.farm_file,
         set=options.set,
     )
-    config, name = configuration_of(wanted), policy_name(wanted)
-    farm = require_farm(config, "this run is about {}; only the farm can be replayed.")
+    config, name = configuration_of(wanted, ONLY_FARM), policy_name(wanted)
+    farm = require_farm(config, ONLY_FARM)
     shown = options.run_dir.resolve().name if options.run_dir is not None and options.policy is None else _called(name)
     names = _apart(shown, _called(options.against), name, options.against)
     return Comparison(farm, (name, options.against), names, options.farm, options.episode)

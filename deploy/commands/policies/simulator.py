@@ -18,6 +18,7 @@ from common.process import StopSignal
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.commands.policies.fly import farm_of, vehicles_of
+from deploy.flight.pilot import require_agents
 from deploy.flight.simulator import Flight, SimulatedFleet
 from deploy.flight.vehicle import VehicleLink
 from deploy.options import parse
@@ -56,7 +57,7 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(SimulatorArguments, arguments, "simulator")
     check_name(options.run, "run")
     within(0, 2**62, farm=options.farm, episode=options.episode)
-    positive(patience=options.patience)
+    positive(patience=options.patience, steps=1 if options.steps is None else options.steps)
     farm = farm_of(options.run_dir, options.config)
     stop = StopSignal()
     stop.install()
@@ -73,10 +74,12 @@ def _links(
 ) -> dict[str, VehicleLink]:
     """Return each agent's link: one session for all, or with TLS one per certificate."""
     fastest = farm.world.speed_x_max, farm.world.speed_y_max
-    named = {agent: vehicle for vehicle, agent in vehicles_of(options.vehicle).items()}
+    vehicles, names = vehicles_of(options.vehicle), farm_team(farm).agent_names
+    require_agents(vehicles, names, "the farm's")
+    named = {agent: vehicle for vehicle, agent in vehicles.items()}
     shared: Bus | None = None
     links = {}
-    for agent in farm_team(farm).agent_names:
+    for agent in names:
         vehicle = named.get(agent, agent)
         if shared is None or options.tls is not None:
             folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None

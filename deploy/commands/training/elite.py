@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.config.checks import within
 from common.names import check_name
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.options import parse
@@ -29,6 +30,7 @@ class EliteArguments:
 def command(arguments: Sequence[str]) -> int:
     """Run the coordinator until the run finishes or a signal arrives; return 0."""
     options = parse(EliteArguments, arguments, "elite")
+    within(0.0, 1e9, patience=options.patience)
     check_name(options.run, "run")
     check_name(options.name, "name")
     endpoint = Endpoint.parse(options.connect, options.tls)

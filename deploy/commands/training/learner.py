@@ -9,7 +9,9 @@ from typing import Annotated
 import tyro
 
 from common.config import RunConfig
+from common.config.checks import within
 from common.errors import UsageError
+from common.names import check_name
 from common.process import log
 from common.team import TeamSpec
 from common.transport.endpoint import DEFAULT, Endpoint
@@ -65,6 +67,7 @@ def command(arguments: Sequence[str]) -> int:
     """Run the learner until the run ends; return 0."""
     defaults = LearnerArguments(settings=base_configuration(arguments))
     options = parse(LearnerArguments, arguments, "learner", defaults)
+    within(0.0, 1e9, patience=options.patience)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
     resume = options.resume
@@ -74,6 +77,7 @@ def command(arguments: Sequence[str]) -> int:
         resume = RunDirectory(options.run_dir).holds_run()
     if resume and options.lockstep:
         raise UsageError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
+    check_name(options.run, "run")
     where = options.connect or options.listen or DEFAULT
     endpoint = Endpoint.parse(where, options.tls, shared_memory=options.shared_memory)
     if endpoint.credentials is not None:
@@ -83,6 +87,7 @@ def command(arguments: Sequence[str]) -> int:
     # What cannot be trained, or cannot be begun with, is refused before any file is written.
     usable_device(options.settings.learner.device)
     environment = environment_spec(options.settings)
+    options.settings.algorithm.require_types([group.name for group in environment.team.groups])
     if not resume:
         start_parameters(options.settings, environment.team)
     if options.run_dir is not None:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.config.checks import within
+from common.errors import UsageError
 from common.names import check_name
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.options import parse
@@ -37,11 +39,14 @@ class RolloutArguments:
 def command(arguments: Sequence[str]) -> int:
     """Run the worker until the run finishes or a signal arrives; return 0."""
     options = parse(RolloutArguments, arguments, "rollout")
+    within(0.0, 1e9, patience=options.patience)
     endpoint = Endpoint.parse(options.connect, options.tls, shared_memory=options.shared_memory)
     name = options.name or f"{socket.gethostname()[:40]}-{os.getpid()}"
     if endpoint.credentials is not None:
         name = options.name or endpoint.credentials.identity.name
         endpoint.credentials.require("rollout", name)
+    if options.history is not None and options.history.exists() and not options.history.is_file():
+        raise UsageError(f"--history {options.history} is no file; name the file that the history goes to.")
     check_name(options.run, "run")
     check_name(name, "name")
     serve(WorkerOptions(options.run, name, endpoint, options.patience, options.env, options.history))

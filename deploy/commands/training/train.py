@@ -81,10 +81,11 @@ def command(arguments: Sequence[str]) -> int:
     workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     team = environment_spec(options.settings).team
+    options.settings.algorithm.require_types([group.name for group in team.groups])
     start = () if options.resume else start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options, workers)
-    endpoint.require_private(insecure=False)
+    endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
     directory.prepare(options.settings, resume=options.resume)

@@ -193,9 +193,11 @@ def test_malformed_endpoints_are_refused(text: str) -> None:
 
 
 def test_listening_beyond_this_machine_needs_consent() -> None:
-    """An address that others reach is refused unless --insecure was given."""
+    """An address that others reach is refused unless --insecure was given; a command without it advises otherwise."""
     with pytest.raises(EndpointError, match="insecure"):
         Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=False)
     Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=True)
+    with pytest.raises(EndpointError, match=r"security\.md\), or listen elsewhere\.$"):
+        Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=False, advice="listen elsewhere")
     for private in ("tcp/127.0.0.1:1", "tcp/localhost:1", "tcp/[::1]:1"):
         Endpoint.parse(private).require_private(insecure=False)

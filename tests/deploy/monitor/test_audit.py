@@ -227,3 +227,12 @@ def test_the_command_in_json(tmp_path, capsys):
     write(tmp_path, [("accepted", 1, 2, 10)], [made(2), ("acknowledged", 1, 2, 10)])
     assert dispatch(["audit", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["steps"]["accepted"] == 20
+
+
+@pytest.mark.parametrize("text", ["", '["start", "lear', '["end"]\n'])
+def test_a_history_without_a_start_is_not_clean(tmp_path, text):
+    """An empty file, also beside a worker's history, is no run that could be audited."""
+    write(tmp_path, [("accepted", 1, 2, 10)], [made(2), ("acknowledged", 1, 2, 10)])
+    (tmp_path / "history" / "learner.jsonl").write_text(text)
+    with pytest.raises(RunDirError, match=r"learner\.jsonl holds no start of a learner"):
+        dispatch(["audit", str(tmp_path)])

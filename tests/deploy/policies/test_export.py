@@ -265,3 +265,18 @@ def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch, capsys, run):
 def test_every_kind_of_adapter_can_be_exported():
     """An adapter without ONNX nodes would end an export in a traceback."""
     assert set(NODES) == set(ADAPTERS)
+
+
+@pytest.mark.parametrize("form", ["onnx", "safetensors"])
+def test_a_policy_of_another_team_is_refused(tmp_path, capsys, form):
+    """Files with another team's actors and this run's description would be wrong; none is written."""
+    config = preset("eia-sec")
+    other = replace(config.farm, world=replace(config.farm.world, monitoring_uavs=1))
+    (tmp_path / "config.toml").write_text(to_toml(config))
+    save_policy(tmp_path / "policy.safetensors", TeamActors.initial(farm_team(other), 8, 0), {})
+    words = ["export", "--run-dir", str(tmp_path), "--format", form]
+    assert run_command(lambda: dispatch(words)) == 2
+    error = capsys.readouterr().err
+    assert "the policy is for " in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "export").exists()
