@@ -56,6 +56,8 @@ class Arguments:
     """Name of the condition of which it becomes a policy."""
     add: bool = False
     """Keep the condition's policies of other seeds beside it."""
+    at_once: int = 1
+    """Runs that the machine trained at the same time, which makes their times longer."""
     ship: bool = False
     """Make its policy one that ships with the package, in 16-bit numbers."""
     policy: str = "trained"
@@ -142,6 +144,7 @@ def keep_page(arguments: Arguments, output: Path) -> None:
     if "--run-dir" in words:
         del words[words.index("--run-dir") : words.index("--run-dir") + 2]
     outcome |= {"command": " ".join(words), "commit": arguments.commit, "packages": provenance("")["packages"]}
+    outcome["at_once"] = arguments.at_once
     records, last = read_metrics(source / METRICS), last_status(source)
     outcome |= {key: last[key] for key in ("episodes", "environment_steps", "updates", "ledger")}
     if arguments.ship:

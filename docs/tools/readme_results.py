@@ -175,6 +175,7 @@ def default_block(
         default: several seeds of the default preset, see `experiments.seeds`.
     """
     farms, own = run["evaluations"][0]["farms"], seeds["methods"][TUNED_PRESET]
+    beside = f", {run['at_once']} such runs at a time," if run.get("at_once", 1) > 1 else ""
     chosen = " but on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
     aoi, vdf = (shown(own["metrics"][name], 2) for name in ("aoi", "vdf"))
     first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
@@ -182,8 +183,9 @@ def default_block(
     origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what
         `make train` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,} environment
         steps and {run["updates"]:,} updates of all
-        twelve agents in {run["seconds"] / 60:.0f} minutes on two shared cores without an accelerator. The paper reports
-        895 for EIA-SEC, on its own farm. [Curves](default/curves.png), [paths](default/trajectories.png)."""
+        twelve agents in {run["seconds"] / 60:.0f} minutes on two shared cores{beside} without an
+        accelerator. The paper reports 895 for EIA-SEC, on its own farm. [Curves](default/curves.png),
+        [paths](default/trajectories.png)."""
     several = f"""{len(own["runs"])} seeds of the preset `eia-sec` score {shown(own["mean_reward"])} on farms
         {_farms(seeds["sizes"])} (mean, with a 95 % interval over the seeds), AoI {aoi}, VDF {vdf}
         ([study](reproduce/default/README.md))."""
