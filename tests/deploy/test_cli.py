@@ -48,6 +48,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["learner", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
         (["learner", "--listen", "tcp/h:1", "--connect", "tcp/h:1"], "not both"),
         (["learner", "--resume"], "--run-dir"),
+        (["train", "--resume"], "--resume needs --run-dir"),
         (["learner", "--resume-if-any"], "--run-dir"),
         (["router", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
         (["router", "--listen", "tls/127.0.0.1:7447"], "--tls FOLDER"),

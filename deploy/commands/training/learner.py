@@ -87,8 +87,8 @@ def command(arguments: Sequence[str]) -> int:
     # What cannot be trained, or cannot be begun with, is refused before any file is written.
     usable_device(options.settings.learner.device)
     environment = environment_spec(options.settings)
-    options.settings.algorithm.require_types([group.name for group in environment.team.groups])
     if not resume:
+        options.settings.algorithm.require_types([group.name for group in environment.team.groups])
         start_parameters(options.settings, environment.team)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)

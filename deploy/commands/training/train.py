@@ -78,10 +78,13 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
     if options.lockstep and options.resume:
         raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
+    if options.resume and options.run_dir is None:
+        raise UsageError("--resume needs --run-dir.")
     workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     team = environment_spec(options.settings).team
-    options.settings.algorithm.require_types([group.name for group in team.groups])
+    if not options.resume:
+        options.settings.algorithm.require_types([group.name for group in team.groups])
     start = () if options.resume else start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options, workers)
