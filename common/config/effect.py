@@ -5,13 +5,21 @@ from operator import attrgetter
 from typing import Final
 
 from common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
+from common.config.environment import FARM
 from common.config.run import RunConfig
 
 SWITCHES: Final = (
     ("algorithm.ensemble_", "algorithm.ensemble", False),
     ("elite.", "elite.enabled", False),
     ("algorithm.sequence_", "algorithm.memory", "none"),
-    ("farm.battery.failsafe", "farm.battery.capacity", 0.0),
+    ("env.", "env.name", FARM),
+    ("farm.observation.plan_", "farm.observation.plan", 0),
+    ("farm.battery.", "farm.battery.capacity", 0.0),
+    ("farm.stress.growth", "farm.stress.patches", 0),
+    ("farm.stress.radius", "farm.stress.patches", 0),
+    ("farm.stress.seconds", "farm.stress.patches", 0),
+    ("farm.wind.direction", "farm.wind.speed", 0.0),
+    ("farm.wind.gust_", "farm.wind.gusts", 0.0),
     ("farm.relay.base", "farm.relay.require_link", False),
     ("farm.relay.hop_range", "farm.relay.base", ""),
 )

@@ -117,6 +117,14 @@ LINES = [
         ["--farm.battery.failsafe", "0.2"],
         "farm.battery.failsafe has no effect while farm.battery.capacity is 0.0.",
     ),
+    (["--farm.battery.stations", "9"], "farm.battery.stations has no effect while farm.battery.capacity is 0.0."),
+    (["--farm.stress.radius", "9"], "farm.stress.radius has no effect while farm.stress.patches is 0."),
+    (["--farm.wind.gust-seconds", "9"], "farm.wind.gust_seconds has no effect while farm.wind.gusts is 0.0."),
+    (
+        ["--farm.observation.plan-paths", "9"],
+        "farm.observation.plan_paths has no effect while farm.observation.plan is 0.",
+    ),
+    (["--env.steps", "30"], "env.steps has no effect while env.name is farm."),
     (["--farm.relay.base", "south"], "farm.relay.base has no effect while farm.relay.require_link is false."),
     (
         ["--farm.relay.require-link", "--farm.relay.hop-range", "100"],
