@@ -157,7 +157,7 @@ def audit(run_dir: Path) -> Audit:
         raise RunDirError(f"{run_dir} has no {HISTORY}/learner.jsonl; is it a run directory?")
     found = Audit()
     received = _learner(_records(folder / "learner.jsonl", found), found)
-    if not (found.starts or found.damaged):  # a start that is damaged is named instead
+    if not (found.starts or received or found.damaged):  # a start that is damaged is named instead
         raise RunDirError(f"{folder / 'learner.jsonl'} holds no start of a learner; there is nothing to audit.")
     sent: dict[Source, _Sent] = {}
     for path in sorted(folder.glob("*.jsonl")):
