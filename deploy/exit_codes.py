@@ -31,8 +31,7 @@ def run_command(command: Callable[[], int | None]) -> int:
         command: does the work; returns an exit code, or None for success.
     """
     try:
-        code = command()
-        sys.stdout.flush()
+        code = _flushed(command)
     except UsageError as error:
         return _complain(str(error), USAGE)
     except EiaSecError as error:
@@ -45,6 +44,17 @@ def run_command(command: Callable[[], int | None]) -> int:
     except OSError as error:
         return _complain(*_of_system(error))
     return DONE if code is None else code
+
+
+def _flushed(command: Callable[[], int | None]) -> int | None:
+    """Run a command and flush its output, also where it exits by itself, as `--help` does."""
+    try:
+        code = command()
+    except SystemExit:
+        sys.stdout.flush()
+        raise
+    sys.stdout.flush()
+    return code
 
 
 def _of_system(error: OSError) -> tuple[str, int]:
