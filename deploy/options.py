@@ -88,12 +88,7 @@ def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
         return config
     config = preset(named or default)
     path = _value_of(arguments, "--config")
-    if not path:
-        return config
-    try:
-        return from_toml(Path(path), config)
-    except ConfigError as error:
-        raise error if path in str(error) else ConfigError(f"{path}: {error}") from None
+    return from_toml(Path(path), config) if path else config
 
 
 def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None = None) -> T:

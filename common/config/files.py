@@ -123,9 +123,15 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
 
     Raises:
         ConfigError: the file cannot be read, is not TOML, names a key that is unknown or has no effect with the
-            algorithm, or gives a key a value of the wrong type or out of range.
+            algorithm, or gives a key a value of the wrong type or out of range; of a file, its path comes first.
     """
-    return _merged(base, _table(source))
+    table = _table(source)
+    try:
+        return _merged(base, table)
+    except ConfigError as error:
+        if isinstance(source, Path):
+            raise ConfigError(f"{source}: {error}") from None
+        raise
 
 
 def from_saved(source: str | Path, base: RunConfig) -> RunConfig:

@@ -92,8 +92,8 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric(
             "waits/*",
             "s",
-            "time since this start: the learner waits for data, imitation and checkpoint, and trains; producers is the "
-            "time in which workers had to wait, beside the others",
+            "time since this start: the learner waits for data, imitation and checkpoint, and trains; producers, which "
+            "overlaps these, is the time in which workers had to wait",
         ),
         *_account("ledger", "all workers"),
         Metric(

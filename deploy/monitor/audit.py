@@ -149,8 +149,8 @@ def audit(run_dir: Path) -> Audit:
     """Audit a run directory.
 
     Raises:
-        RunDirError: when it holds no history of a learner, one without a start, one that cannot be read, or more lines
-            than MOST_LINES.
+        RunDirError: when it holds no history of a learner, one that names neither a start nor a chunk, one that
+            cannot be read, or more lines than MOST_LINES.
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():

@@ -98,22 +98,14 @@ class OnPolicyConfig(AlgorithmConfig):
             raise ConfigError(
                 f"minibatch_steps {self.minibatch_steps} hold no sequence of sequence_steps {self.sequence_steps}."
             )
-        self.type_discounts()
-        self.type_entropy_scales()
-        self.type_suggestion_logits()
-        self.hindsight_shares()
+        self._by_type()
 
     def require_types(self, types: Sequence[str]) -> None:
         """Raise ConfigError where an option that somebody has set names a type that the environment does not have.
 
         Defaults name types of the farm, whatever the environment is.
         """
-        for option, named in (
-            ("discounts", self.type_discounts()),
-            ("entropy_scales", self.type_entropy_scales()),
-            ("suggestion_logits", self.type_suggestion_logits()),
-            ("hindsight", self.hindsight_shares()),
-        ):
+        for option, named in self._by_type().items():
             unknown = [kind for kind in named if kind not in types]
             if unknown and getattr(self, option) != getattr(type(self), option):
                 raise ConfigError(f"algorithm.{option} names {unknown[0]!r}, but the types are {', '.join(types)}.")
@@ -142,6 +134,15 @@ class OnPolicyConfig(AlgorithmConfig):
     def local_weight(self) -> float:
         """Weight of an agent's own value function beside the ensemble's mean."""
         return 1.0
+
+    def _by_type(self) -> dict[str, dict[str, float]]:
+        """Return all options that are maps by type; raise ConfigError when one is none."""
+        return {
+            "discounts": self.type_discounts(),
+            "entropy_scales": self.type_entropy_scales(),
+            "suggestion_logits": self.type_suggestion_logits(),
+            "hindsight": self.hindsight_shares(),
+        }
 
     def type_discounts(self) -> dict[str, float]:
         """Return `discounts` as a map from type to gamma; raise ConfigError when it is none."""

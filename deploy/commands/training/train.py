@@ -29,7 +29,7 @@ from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from rollout.envs.registry import environment_spec
-from rollout.start_policy import start_parameters, start_sentence
+from rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -83,9 +83,10 @@ def command(arguments: Sequence[str]) -> int:
     workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     team = environment_spec(options.settings).team
+    start: StartParameters = ()
     if not options.resume:
         options.settings.algorithm.require_types([group.name for group in team.groups])
-    start = () if options.resume else start_parameters(options.settings, team)
+        start = start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
