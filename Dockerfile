@@ -22,7 +22,8 @@ ENV PYTHONUNBUFFERED=1 \
 RUN groupadd --gid 10001 eia-sec \
     && useradd --uid 10001 --gid 10001 --create-home --shell /usr/sbin/nologin eia-sec \
     && install -d -m 1777 /var/cache/eia-sec \
-    && install -d -o eia-sec -g eia-sec -m 0750 /data
+    && install -d -o eia-sec -g eia-sec -m 0755 /data
+# Everybody may enter /data, because Compose runs the processes as the user who owns the mounted folders.
 WORKDIR /src
 # The largest packages first, in a layer of their own that a change of the source leaves as it is.
 COPY constraints.txt ./

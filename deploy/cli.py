@@ -2,11 +2,13 @@
 
 import gc
 import importlib
+import io
 import os
+import signal
 import sys
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Final
+from types import FrameType, ModuleType
+from typing import Final, NoReturn
 
 from common.errors import UsageError
 from deploy.exit_codes import run_command
@@ -95,8 +97,17 @@ def _load(word: str, module: str) -> ModuleType:
         raise UsageError(f"eia-sec {word} needs a checkout of the source: the studies are not installed.") from error
 
 
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + number)
+
+
 def main() -> None:
     """Entry point of the console script."""
+    # Until a command handles it: what it has started is ended, and PID 1 of a container has no other way to stop.
+    signal.signal(signal.SIGTERM, _terminate)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # paths may hold bytes that are no text
     code = run_command(lambda: dispatch(sys.argv[1:]))
     # Without this, the garbage collector searches torch's objects for cycles, which takes most of the shutdown.
     gc.freeze()

@@ -4,9 +4,10 @@ import errno
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
-from common.errors import EiaSecError, UsageError
+from common.errors import CancelledError, EiaSecError, UsageError
 from common.text import printable_lines
 from deploy.output import FULL
 
@@ -35,7 +36,8 @@ def run_command(command: Callable[[], int | None]) -> int:
     except UsageError as error:
         return _complain(str(error), USAGE)
     except EiaSecError as error:
-        return _complain(str(error) or type(error).__name__, FAILED)
+        # Whoever is ended while it waits has done what it was asked to.
+        return DONE if isinstance(error, CancelledError) else _complain(str(error) or type(error).__name__, FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
@@ -74,5 +76,8 @@ def _leave_output() -> None:
 
 
 def _complain(sentence: str, code: int) -> int:
-    sys.stderr.write(f"eia-sec: {printable_lines(sentence)}\n")
+    # What cannot be said, because standard error is closed or its disk full, must not change the exit code.
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(f"eia-sec: {printable_lines(sentence)}\n")
+        sys.stderr.flush()
     return code

@@ -18,7 +18,7 @@ from common.config.effect import switched_off, without_effect
 from common.config.farm.sites import Sites
 from common.config.farm.stress import Areas
 from common.config.farm.zones import Zones
-from common.config.files import from_toml
+from common.config.files import from_toml, with_setting
 from common.config.former import refuse_ablation
 from common.config.presets import preset
 from common.errors import ConfigError, UsageError
@@ -63,6 +63,14 @@ def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
     from rollout.farm_files import read_farm  # noqa: PLC0415  (loads the simulator, which most commands do without)
 
     return replace(config, farm=read_farm(path).on(require_farm(config, NO_FARM)))
+
+
+def with_settings(config: RunConfig, settings: Sequence[str]) -> RunConfig:
+    """Return the configuration with the values of `--set KEY=VALUE ...`; raise ConfigError for their mistakes."""
+    for setting in settings:
+        config = with_setting(config, setting)
+    _refuse_switched_off(config, [setting.partition("=")[0].strip() for setting in settings])
+    return config
 
 
 def require_env(config: RunConfig, named: str | None) -> None:
@@ -114,7 +122,7 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
             parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
         settings = getattr(parsed, "settings", None)
         if isinstance(settings, RunConfig):
-            _refuse_switched_off(settings, spelt)
+            _refuse_switched_off(settings, _keys(spelt))
         if isinstance(settings, RunConfig) and _value_of(arguments, "--farm-file"):
             require_farm(settings, NO_FARM)
         return cast(T, parsed)
@@ -137,9 +145,9 @@ def _refuse_without_effect(config: RunConfig, arguments: Sequence[str]) -> None:
             raise ConfigError(reason)
 
 
-def _refuse_switched_off(config: RunConfig, arguments: Sequence[str]) -> None:
+def _refuse_switched_off(config: RunConfig, keys: Sequence[str]) -> None:
     """Raise ConfigError for an option of a part that is switched off."""
-    for key in _keys(arguments):
+    for key in keys:
         if reason := switched_off(config, key):
             raise ConfigError(reason)
 

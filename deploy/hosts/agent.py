@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -15,12 +15,15 @@ from typing import Any, Final
 from common.errors import HostError
 from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
+from deploy.hosts.plan import ORDER
 from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take up a plan."""
 KILL_SECONDS: Final = 5.0
+ORPHAN_SECONDS: Final = 40.0
+"""Time that the processes of a killed keeper have to end by themselves."""
 LEARNER: Final = "learner.learner"
 """The learner's name among the processes."""
 MAX_LINES: Final = 10_000
@@ -63,6 +66,7 @@ def up(
         write_json(folder / PLAN, plan)
     except OSError as error:
         raise HostError(f"{folder} cannot be written: {error.strerror}.") from error
+    _await_orphans(folder)
     _ensure_keeper(folder, start, plan["issue"])
     deadline = time.monotonic() + START_SECONDS
     while not _taken_up(folder, plan["issue"]):
@@ -91,23 +95,31 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     """
     plan = read_json(folder / PLAN)
     named = [name for name in plan.get("processes", {}) if name.split(".")[0] in roles]
+    before = _pids(folder, roles)
     if named:
         rest = {name: process for name, process in plan["processes"].items() if name not in named}
-        write_json(folder / PLAN, keeper.new_plan(rest, again=False))
-    before = _pids(folder, roles)
+        try:
+            write_json(folder / PLAN, keeper.new_plan(rest, again=False))
+        except OSError:  # a full disk: the keeper starts none again that ends as it was asked to
+            _signal(before.values(), signal.SIGTERM)
     left, deadline = before, time.monotonic() + seconds
     while left and time.monotonic() < deadline:
         time.sleep(0.1)
         left = {name: pid for name, pid in _pids(folder, roles).items() if before.get(name) == pid}
     if left and kill:
-        for pid in left.values():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        _signal(left.values(), signal.SIGKILL)
         deadline = time.monotonic() + KILL_SECONDS
         while left and time.monotonic() < deadline:
             time.sleep(0.1)
             left = _pids(folder, roles)
     return {"ended": sorted(set(before) - set(left)), "left": sorted(left)}
+
+
+def _signal(pids: Iterable[int], number: int) -> None:
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            if _is_ours(pid):
+                os.kill(pid, number)
 
 
 def status(folder: Path) -> dict[str, Any]:
@@ -135,6 +147,30 @@ def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
     """Return whether the plan starts the learner as before, and that learner has finished its run."""
     before, wanted = read_json(folder / PLAN).get("processes", {}).get(LEARNER), processes.get(LEARNER)
     return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
+
+
+def _await_orphans(folder: Path) -> None:
+    """Wait until the processes of a killed keeper have ended: they still hold the run directory and the ports.
+
+    One that does not end in time is left alone; the new keeper's log then says what is in use.
+    """
+    if _has_keeper(folder):
+        return
+    kept: dict[str, Any] = {}
+    with suppress(HostError):  # a torn state names nobody
+        kept = read_json(folder / STATE).get("processes", {})
+    pids = [int(process.get("pid", 0)) for process in kept.values()]
+    deadline = time.monotonic() + ORPHAN_SECONDS
+    while any(pid and _is_ours(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def _is_ours(pid: int) -> bool:
+    """Return whether a process exists and runs a command of this package; its number may be another's by now."""
+    try:
+        return b"deploy.cli" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
 
 
 def _taken_up(folder: Path, issue: int) -> bool:
@@ -171,18 +207,25 @@ def _start_unit(folder: Path, command: Sequence[str]) -> None:
     unit = f"eia-sec-{hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12]}"
     log = f"--property=StandardError=append:{folder.resolve() / LOG}"
     passed = [f"--setenv={name}={value}" for name, value in os.environ.items() if name.startswith("PYTHON")]
-    words = ["systemd-run", "--user", "--quiet", "--collect", f"--unit={unit}", log, *passed, "--", *command]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise HostError(f"systemd-run did not start the keeper: {done.stderr.strip()[-200:]}")
+    # The keeper alone gets SIGTERM, and stops its processes one role after another.
+    ends = ["--property=KillMode=mixed", f"--property=TimeoutStopSec={keeper.FAREWELL_SECONDS * len(ORDER) + 30:.0f}"]
+    words = ["systemd-run", "--user", "--quiet", "--collect", f"--unit={unit}", log, *ends, *passed, "--", *command]
+    deadline = time.monotonic() + START_SECONDS
+    while True:
+        try:
+            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=START_SECONDS)
+        except subprocess.TimeoutExpired as error:
+            raise HostError(f"systemd-run did not start the keeper within {START_SECONDS:.0f} s.") from error
+        if not done.returncode:
+            return
+        # The unit of a keeper that has just ended may still be there.
+        if "already" not in done.stderr or time.monotonic() > deadline:
+            raise HostError(f"systemd-run did not start the keeper: {done.stderr.strip()[-200:]}")
+        time.sleep(0.5)
 
 
 def _has_keeper(folder: Path) -> bool:
-    held = keeper.lock(folder)
-    if held is None:
-        return True
-    held.close()
-    return False
+    return keeper.is_kept(folder)
 
 
 def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:

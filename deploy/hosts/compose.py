@@ -6,7 +6,7 @@ from common.config.files import to_toml
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
 from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.plan import SHARING, Places, Process, processes
+from deploy.hosts.plan import ORDER, SHARING, Places, Process, processes
 from deploy.local.run_directory import HISTORY
 
 SHARED: Final = "memory"
@@ -23,6 +23,11 @@ def compose(fleet: FleetSpec) -> dict[str, bytes]:
     places = inside(fleet, fleet.listener[0])
     planned = processes(fleet, places)
     services = {service_of(process): _service(fleet, places, process) for process in planned}
+    for process in planned:
+        # Compose stops services before those that they depend on: workers deliver before the learner stops.
+        later = [service_of(other) for other in planned if ORDER.index(other.role) > ORDER.index(process.role)]
+        if later:
+            services[service_of(process)]["depends_on"] = later
     document: dict[str, Any] = {"services": services}
     if fleet.network.shared_memory:
         document["volumes"] = {SHARED: _memory()}
@@ -48,12 +53,15 @@ def _service(fleet: FleetSpec, places: Places, process: Process) -> dict[str, An
         "volumes": _volumes(fleet, process),
         "healthcheck": {
             "test": ["CMD", *probe(fleet, places, process)],
-            "interval": "30s",
+            "interval": "60s",
             "timeout": "20s",
-            "retries": 4,
+            "retries": 3,
             "start_period": "60s",
         },
-        "restart": "on-failure",
+        # A mistake in the configuration, exit code 2, is not mended by a restart, but for Docker all codes are alike.
+        "restart": "on-failure:10",
+        # Without it, SIGTERM would not end a process that has not yet installed its handler.
+        "init": True,
         "stop_grace_period": "90s",
         "cap_drop": ["ALL"],
         "security_opt": ["no-new-privileges:true"],

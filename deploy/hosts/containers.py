@@ -28,12 +28,19 @@ def inside(fleet: FleetSpec, host: str) -> Places:
         host: the name that other containers reach the listener by.
 
     Raises:
-        ConfigError: there are no certificates and `insecure` is not set; containers do not share a loopback.
+        ConfigError: there are no certificates and `insecure` is not set; containers do not share a loopback. Or the
+            learner's device and the GPUs that its container requests do not fit.
     """
     if fleet.keys is None and not fleet.network.insecure:
         raise ConfigError(
             f"{fleet.path}: containers share a network that strangers may reach; set network.keys to the folder of "
             "`eia-sec keys`, or set insecure = true if that is intended."
+        )
+    device, gpus = fleet.config.learner.device, fleet.learner.gpus
+    if (device == "cpu") != (gpus == 0):
+        raise ConfigError(
+            f"{fleet.path}: the learner trains with learner.device = {device}, but its container requests {gpus} GPUs; "
+            + ("set learner.device = cuda in training.set." if gpus else "set gpus = 1 in [learner].")
         )
     protocol, port = ("tls" if fleet.keys is not None else "tcp"), port_of(fleet)
     return Places(RUN_DIR, KEYS, CONFIG, f"{protocol}/{host}:{port}", f"{protocol}/0.0.0.0:{port}")
@@ -47,7 +54,9 @@ def port_of(fleet: FleetSpec) -> int:
 def probe(fleet: FleetSpec, places: Places, process: Process, name: str = "") -> list[str]:
     """Return the command that checks a process's liveliness token, or whether the router answers."""
     listens = process.role == fleet.listener[0]
-    words = ["eia-sec", "alive", process.role, name or process.name, "--run", fleet.run, "--connect", places.endpoint]
+    # The listener is asked inside its container: a network that is down is not mended by its restart.
+    endpoint = places.listen.replace("0.0.0.0", "127.0.0.1") if listens else places.endpoint
+    words = ["eia-sec", "alive", process.role, name or process.name, "--run", fleet.run, "--connect", endpoint]
     words += ["--tls", KEYS] if fleet.keys is not None else []
     return words if listens else [*words, "--blame"]
 

@@ -16,13 +16,12 @@ from types import UnionType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from common.config import RunConfig
-from common.config.files import with_setting
 from common.errors import ConfigError, UsageError
 from common.farm import farm_environment, farm_of
 from common.names import check_name
 from common.protocol.message_sizes import require_frames
 from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.options import base_configuration
+from deploy.options import base_configuration, with_settings
 
 LOCAL: Final = "local"
 """The name of this machine as a host; it is reached without SSH."""
@@ -60,7 +59,8 @@ class Network:
     endpoint: str = DEFAULT
     """Where other processes reach the router, or the learner if there is no router."""
     listen: str = ""
-    """Where that process listens. Default: all addresses of its host, at the endpoint's port."""
+    """Where that process listens. Default: all addresses of its host, or loopback if the endpoint is, at the
+    endpoint's port."""
     keys: str = ""
     """Folder of `eia-sec keys`; turns TLS on."""
     names: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class LearnerSpec:
     host: str = ""
     """Name of its host."""
     gpus: int = 0
-    """GPUs that its container requests."""
+    """GPUs that its container requests; training.set chooses them, with learner.device = "cuda"."""
 
 
 @dataclass(frozen=True)
@@ -306,9 +306,7 @@ def _configuration(fleet: FleetSpec) -> RunConfig:
     arguments = ["--preset", training.preset]
     arguments += ["--config", str(fleet.folder / training.config)] if training.config else []
     arguments += ["--farm-file", str(fleet.folder / training.farm_file)] if training.farm_file else []
-    config = base_configuration(arguments)
-    for assignment in training.set:
-        config = with_setting(config, assignment)
+    config = with_settings(base_configuration(arguments), training.set)
     farm = farm_of(config)
     if farm is not None:  # another environment may exist on the learner's host only, where it is checked
         require_frames(config, farm_environment(farm))

@@ -46,6 +46,16 @@ def lock(folder: Path) -> IO[str] | None:
     return held
 
 
+def is_kept(folder: Path) -> bool:
+    """Return whether a keeper holds the folder's lock. Any number of processes may ask at once."""
+    with (folder / LOCK).open("a", encoding="utf-8") as held:
+        try:
+            fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write a JSON value to a file atomically."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
@@ -90,7 +100,7 @@ class Keeper:
         self._started: dict[str, dict[str, Any]] = {}
         self._since: dict[str, tuple[int, float]] = {}
         self._issue = 0
-        self._read_at = 0
+        self._read_at = (0, 0)
         self._written: dict[str, Any] = {}
         self._warned: dict[str, str] = {}
 
@@ -116,7 +126,8 @@ class Keeper:
     def _read(self) -> None:
         """Take up a new plan; keep the previous one while the file cannot be read."""
         try:
-            changed = (self._folder / PLAN).stat().st_mtime_ns
+            held = (self._folder / PLAN).stat()
+            changed = held.st_mtime_ns, held.st_ino  # two plans may have one time, where a file system's is coarse
             if changed == self._read_at:
                 return
             plan = read_json(self._folder / PLAN)

@@ -154,11 +154,16 @@ def _copier(fleet: FleetSpec) -> Object:
     mounts = [{"name": "secret", "mountPath": "/secret"}, {"name": "keys", "mountPath": containers.KEYS}]
     return {
         "name": "keys",
-        "image": fleet.containers.image,
+        **_image(fleet),
         "command": ["sh", "-c", command],
         "volumeMounts": mounts,
         "securityContext": _confined(),
     }
+
+
+def _image(fleet: FleetSpec) -> Object:
+    """Return the image, which a node that has it takes without asking a registry."""
+    return {"image": fleet.containers.image, "imagePullPolicy": "IfNotPresent"}
 
 
 def _confined() -> Object:
@@ -174,7 +179,7 @@ def _container(fleet: FleetSpec, places: Places, process: Process, mounts: list[
         resources["limits"] = {"nvidia.com/gpu": fleet.learner.gpus}
     container: Object = {
         "name": process.role,
-        "image": fleet.containers.image,
+        **_image(fleet),
         "args": list(process.arguments),
         "env": variables,
         "resources": resources,
@@ -184,7 +189,7 @@ def _container(fleet: FleetSpec, places: Places, process: Process, mounts: list[
     if process.role == fleet.listener[0]:
         port = port_of(fleet)
         container["ports"] = [{"containerPort": port}, {"containerPort": port + 1}]
-        container["readinessProbe"] = {"tcpSocket": {"port": port}, "periodSeconds": 10}
+        container["readinessProbe"] = {"tcpSocket": {"port": port}, "periodSeconds": 30}
     container["livenessProbe"] = {
         "exec": {"command": _probe(fleet, places, process)},
         "initialDelaySeconds": 120,

@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from common.config.files import to_toml
 from common.errors import CredentialsError, HostError
@@ -133,12 +133,17 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     return state
 
 
+LATEST: Final = 1e11
+"""No process began later than this, s since 1970."""
+
+
 def _is_process(process: dict[str, Any]) -> bool:
     """Return whether values have the types in which the keeper writes a process's state."""
     return (
         isinstance(process.get("state"), str)
-        and all(type(process.get(name)) is int for name in ("pid", "deaths"))
-        and type(process.get("since")) in (int, float)
+        and all(type(value := process.get(name)) is int and 0 <= value < 2**31 for name in ("pid", "deaths"))
+        and isinstance(since := process.get("since"), int | float)
+        and 0.0 <= since < LATEST
     )
 
 
@@ -166,7 +171,7 @@ def follow(
     def take(link: Link, line: bytes) -> None:
         try:
             name, text = json.loads(line)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, RecursionError) as error:
             raise HostError(f"{link.name}: it sent something that is not a log line: {line[:80]!r}.") from error
         show(link.name, str(name), str(text))
 
@@ -175,6 +180,9 @@ def follow(
             link.stream("follow", {"names": list(names), "lines": lines}, partial(take, link), stop)
         except HostError as error:
             show(link.name, "(lost)", str(error))
+            raise
+        except BaseException:
+            stop.event.set()  # otherwise nobody would hear of it before the other streams end
             raise
 
     with links(fleet) as ways:
@@ -197,6 +205,8 @@ def service_name(fleet: FleetSpec, role: str) -> str:
 def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
     """Make the certificates that a fleet lacks, including the authority's, operator's, monitor's and watcher's.
 
+    The listener's is renewed when the fleet has given it a new name.
+
     Returns:
         The identities that got a certificate.
 
@@ -217,5 +227,10 @@ def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
             elsewhere = ("localhost",) if identity.role in LISTENING else ()
             hosts = listener_names(fleet) if identity.role == fleet.listener[0] else elsewhere
             authority.issue(fleet.keys, identity, hosts, lifetime)
+            made.append(identity)
+        elif identity.role == fleet.listener[0] and (
+            more := authority.not_served(fleet.keys, identity, listener_names(fleet))
+        ):
+            authority.renew(fleet.keys, identity, lifetime, more)
             made.append(identity)
     return made

@@ -7,11 +7,12 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
@@ -56,6 +57,11 @@ class Link:
     host: Host
     base: Path
     sockets: Path
+    _given_up: threading.Event = field(default_factory=threading.Event)
+
+    def give_up(self) -> None:
+        """End the calls that wait for this host; they raise HostError."""
+        self._given_up.set()
 
     def call(self, verb: str, request: dict[str, Any], seconds: float = 0.0) -> dict[str, Any]:
         """Call a verb of `eia-sec host` and return its JSON answer.
@@ -72,7 +78,7 @@ class Link:
             output = answered.read()
         try:
             answer = json.loads(output)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise HostError(f"{self.name}: its answer is not JSON: {output[:80]!r}.") from error
         if not isinstance(answer, dict):
             raise HostError(f"{self.name}: its answer is not a JSON object.")
@@ -122,6 +128,8 @@ class Link:
                         raise HostError(f"{self.name}: its answer is longer than {most} bytes.")
                 if process.returncode is not None:
                     return process.returncode
+                if self._given_up.is_set():
+                    raise HostError(f"{self.name} was given up.")
                 if time.monotonic() > deadline:
                     raise HostError(f"{self.name} did not answer within {seconds:.0f} s.")
         finally:
@@ -264,5 +272,11 @@ def everywhere(
             failed[link.name] = str(error)
 
     with ThreadPoolExecutor(at_once) as pool:
-        list(pool.map(attempt, links.values()))
+        try:
+            list(pool.map(attempt, links.values()))
+        except BaseException:
+            for link in links.values():
+                link.give_up()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
     return {name: done[name] for name in links if name in done}, {n: failed[n] for n in links if n in failed}

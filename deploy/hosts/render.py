@@ -1,7 +1,7 @@
 """`eia-sec fleet render`: the files that start a fleet with systemd, Compose or Kubernetes."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -9,6 +9,7 @@ from common.errors import ConfigError
 from deploy.hosts.compose import compose
 from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.kubernetes import kubernetes
+from deploy.hosts.plan import ORDER
 from deploy.hosts.systemd import units
 from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY
@@ -35,6 +36,14 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
     except OSError as error:
         raise ConfigError(f"{folder} cannot be written: {error.strerror}.") from error
     return written
+
+
+def left_over(fleet: FleetSpec, folder: Path, written: Sequence[Path]) -> list[Path]:
+    """Return units and keys in a folder that an earlier fleet of this run had and the written one does not have."""
+    units = [*folder.glob(f"*/eia-sec-{fleet.run}-*.service"), *folder.glob(f"*/eia-sec-{fleet.run}.target")]
+    keys = [path for path in folder.glob("keys/*") if path.is_dir() and path.name.partition(".")[0] in ORDER]
+    kept = {*written, *(path.parent for path in written)}
+    return sorted(path for path in (*units, *keys) if path not in kept)
 
 
 def _compose(fleet: FleetSpec) -> dict[str, bytes]:

@@ -14,7 +14,7 @@ USER: Final = "eia-sec"
 
 _UNIT: Final = """[Unit]
 Description=EIA-SEC run {run}: {identity}
-Wants=network-online.target
+Wants=network-online.target time-sync.target
 After={after}
 PartOf={target}
 StartLimitIntervalSec=0
@@ -33,6 +33,8 @@ Restart=on-failure
 RestartSec=5
 # Exit code 2 is a mistake in the configuration, which a restart does not fix.
 RestartPreventExitStatus=2
+# 128 + SIGTERM: it was stopped before it had begun to work.
+SuccessExitStatus=143
 TimeoutStopSec=90
 UMask=0077
 NoNewPrivileges=yes
@@ -94,12 +96,12 @@ def _unit(fleet: FleetSpec, process: Process, beside: list[Process]) -> str:
     return _UNIT.format(
         run=fleet.run,
         identity=process.identity,
-        after=" ".join(["network-online.target", *(unit_name(fleet, other) for other in before)]),
+        after=" ".join(["network-online.target", "time-sync.target", *(unit_name(fleet, other) for other in before)]),
         target=_target(fleet),
         user=USER,
         threads=" ".join(f"{name}={value}" for name, value in thread_environment(process.threads).items()),
         command=" ".join(_word(word) for word in [*words, *process.arguments]),
-        devices="" if process.role == "learner" and fleet.learner.gpus else "PrivateDevices=yes\n",
+        devices="" if process.role == "learner" and fleet.config.learner.device != "cpu" else "PrivateDevices=yes\n",
     )
 
 

@@ -13,6 +13,8 @@ from common.config.presets import read_saved
 from common.errors import RunDirError
 
 CONFIG = "config.toml"
+FRESH = f"{CONFIG}.new"
+"""A configuration while it is being written."""
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
@@ -66,7 +68,7 @@ class RunDirectory:
         if self.path.exists() and (not self.path.is_dir() or any(self._foreign_files())):
             raise RunDirError(f"{self.path} exists and is not a run directory; choose another --run-dir.")
         self.path.mkdir(parents=True, exist_ok=True)
-        held.write_text(to_toml(config), encoding="utf-8")
+        self._store(config)
 
     def lock(self, name: str, *, directory: bool = False) -> None:
         """Reserve the folder for this process. The lock ends with the process.
@@ -100,12 +102,21 @@ class RunDirectory:
         """Store a configuration that `prepare` has accepted; the folder must be locked."""
         if self.configuration() == config:
             return
-        fresh = self.path / f"{CONFIG}.new"
+        try:
+            self._store(config)
+        except OSError as error:
+            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
+
+    def _store(self, config: RunConfig) -> None:
+        """Write the configuration; on a full disk none is left, rather than a part of it."""
+        fresh = self.path / FRESH
         try:
             fresh.write_text(to_toml(config), encoding="utf-8")
             fresh.replace(self.path / CONFIG)
-        except OSError as error:
-            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
+        except OSError:
+            with suppress(OSError):
+                fresh.unlink()
+            raise
 
     def configuration(self) -> RunConfig:
         """Return the configuration; options that an older version did not have keep that version's behaviour.
@@ -141,7 +152,9 @@ class RunDirectory:
 
     def _foreign_files(self) -> list[Path]:
         return [
-            entry for entry in self.path.iterdir() if entry.name not in ("logs", HISTORY) and entry.suffix != ".lock"
+            entry
+            for entry in self.path.iterdir()
+            if entry.name not in ("logs", HISTORY, FRESH) and entry.suffix != ".lock"
         ]
 
 

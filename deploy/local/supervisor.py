@@ -21,6 +21,8 @@ HEALTHY_SECONDS: Final = 60.0
 TERMINATE_SECONDS: Final = 8.0
 KILL_SECONDS: Final = 2.0
 TAIL_LINES: Final = 5
+TAIL_BYTES: Final = 64 * 1024
+"""Most bytes of a log that are looked at for its last lines."""
 
 
 @dataclass
@@ -108,7 +110,9 @@ class Supervisor:
     def tail(self, name: str) -> str:
         """Return the last lines of a child's log."""
         try:
-            lines = (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").splitlines()
+            with (self._logs / f"{name}.log").open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - TAIL_BYTES))
+                lines = file.read(TAIL_BYTES).decode(errors="replace").splitlines()
         except OSError:
             return ""
         return "\n".join(lines[-TAIL_LINES:])

@@ -6,6 +6,7 @@ whatever else it finds, and every line that was damaged after it was written.
 """
 
 import json
+import os
 import sys
 from bisect import bisect_right
 from collections import Counter
@@ -18,6 +19,8 @@ from common.history.history import End, Entry, Record, Resume, Start, Summary, U
 from deploy.local.run_directory import HISTORY, METRICS
 from deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
+LAST_BYTES: Final = 2**20
+"""Most bytes of a learner's last records that are looked at."""
 MOST_LINES: Final = 2**24
 """Most lines of all histories; an audit holds each of them in memory, however many chunks it is about."""
 NAMED: Final = 20
@@ -364,13 +367,15 @@ def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
         whole: whether they go back to the run's beginning; if not, the ledger's sums cover more.
     """
     try:
-        lines = metrics.read_text(encoding="utf-8", errors="replace").splitlines()[-2:]
-        last = [json.loads(line) for line in lines]
-    except (OSError, ValueError):
+        last = [json.loads(line) for line in _last_lines(metrics, 2)]
+    except (OSError, ValueError, RecursionError):
         return
     if [record.get("kind") for record in last if isinstance(record, dict)] != ["status", "end"]:
         return
     ledger = last[0].get("ledger", {})
+    if not (isinstance(ledger, dict) and type(ledger.get("lost", 0)) is int):
+        found.unexplained.append(f"{metrics.name}: the ledger in its last status is none.")
+        return
     claims = {"accepted": ledger.get("accepted"), "steps in replay": last[0].get("environment_steps")}
     for name, value in claims.items():
         if whole and value != found.steps["accepted"]:
@@ -379,6 +384,13 @@ def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
         found.unexplained.append(f"the learner itself could not explain {ledger['unexplained']} steps.")
     if whole and ledger.get("lost", 0) > found.steps["lost"]:
         found.unexplained.append(f"lost: the learner says {ledger['lost']}, the histories {found.steps['lost']}.")
+
+
+def _last_lines(path: Path, count: int) -> list[str]:
+    """Return a file's last lines, of its last LAST_BYTES at most."""
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - LAST_BYTES))
+        return file.read(LAST_BYTES).decode(errors="replace").splitlines()[-count:]
 
 
 def _name(source: Source, first: int, last: int) -> str:

@@ -103,7 +103,8 @@ def _learning(snapshot: Snapshot) -> Panel:
         value = Text(number(series.latest, series.digits), style="bold" if index == 0 else "")
         grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120))
     for series in snapshot.freshness:
-        grid.add_row(series.name, number(series.latest, series.digits), Sparkline(series.values, "blue", 120))
+        value = Text(number(series.latest, series.digits))
+        grid.add_row(Text(series.name), value, Sparkline(series.values, "blue", 120))
     waiting = Text("No episode has ended yet.", style="dim")
     title = ", ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
     return _panel(title, grid if grid.row_count else waiting)
@@ -161,7 +162,7 @@ def _alarms(alarms: tuple[str, ...], shown: int) -> Panel:
 
 
 def _panel(title: str, content: RenderableType) -> Panel:
-    return Panel(content, title=title, title_align="left", border_style="dim", padding=(0, 1))
+    return Panel(content, title=Text(title), title_align="left", border_style="dim", padding=(0, 1))
 
 
 def _rate(value: float | None) -> str:

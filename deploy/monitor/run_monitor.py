@@ -34,7 +34,7 @@ MOST_CURVES: Final = 64
 """Most types of agent whose reward is followed."""
 MOST_TEXT: Final = 200
 """Most characters of an alarm."""
-UNREADABLE: Final = (ProtocolError, TypeError, ValueError, LookupError, AttributeError, OverflowError)
+UNREADABLE: Final = (ProtocolError, TypeError, ValueError, LookupError, AttributeError, OverflowError, RecursionError)
 """Errors that reading malformed metrics raises."""
 
 

@@ -15,6 +15,8 @@ MOST_PARTS: Final = 16_384
 """Most numbers, texts, maps and lists in one report."""
 DEEPEST: Final = 6
 """Deepest nesting of maps and lists."""
+NESTED: Final = 64
+"""Deepest nesting of a report that is read at all."""
 NUMBERS: Final = frozenset(
     (
         *("decisions", "elapsed", "environment_steps", "episodes", "episodes_total", "event", "lag_versions", "queue"),
@@ -30,10 +32,10 @@ def metrics(values: Mapping[str, Any]) -> dict[str, Any]:
     Everything else, for example the NaN of a training that diverges, is left out of maps and None in lists.
 
     Raises:
-        SchemaError: a metric that must be a number is not, or there are too many.
+        SchemaError: a metric that must be a number is not, or there are too many, or they are nested too deeply.
     """
-    if _parts(values, MOST_PARTS) < 0:
-        raise SchemaError(f"a report has more than {MOST_PARTS} values.")
+    if _parts(values, MOST_PARTS, NESTED) < 0:
+        raise SchemaError(f"a report has more than {MOST_PARTS} values, or more than {NESTED} levels.")
     found = {str(name): part for name, value in values.items() if (part := _metric(value, 0)) is not None}
     for name in NUMBERS & values.keys():
         if type(values[name]) not in (int, float):
@@ -46,14 +48,16 @@ def plain(text: str) -> str:
     return printable(text[:MOST_TEXT])
 
 
-def _parts(value: Any, room: int) -> int:
-    """Return the room left after counting all parts; negative as soon as there is none."""
+def _parts(value: Any, room: int, levels: int) -> int:
+    """Return the room left after counting all parts; negative as soon as there is none, or no level below."""
+    if levels < 0:
+        return -1
     room -= 1
     inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     for part in inner:
         if room < 0:
             return room
-        room = _parts(part, room)
+        room = _parts(part, room, levels - 1)
     return room
 
 

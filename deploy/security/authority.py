@@ -1,9 +1,11 @@
 """The certificate authority of an installation: created once, kept offline, issues one certificate per process."""
 
 import datetime
+import fcntl
 import ipaddress
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +27,7 @@ from common.transport import credentials
 from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 
 CA_KEY: Final = "ca.key"
+LOCK: Final = "members.lock"
 CA_DAYS: Final = 3650
 BACKDATED: Final = datetime.timedelta(minutes=5)
 """Certificates are valid from this long ago, for machines whose clocks are slightly behind."""
@@ -62,9 +65,13 @@ def create(folder: Path, days: int = CA_DAYS) -> None:
         .add_extension(usage, critical=True)
         .sign(key, hashes.SHA256())
     )
-    write_new(folder / CA_KEY, _pem(key))
-    write_new(folder / CA, certificate.public_bytes(Encoding.PEM))
-    write_new(folder / MEMBERS, b"")
+    with ExitStack() as on_failure:
+        files = ((CA_KEY, _pem(key)), (CA, certificate.public_bytes(Encoding.PEM)), (MEMBERS, b""))
+        for file, data in files:
+            write_new(folder / file, data)
+            # Half an authority would be in the way of the next try.
+            on_failure.callback((folder / file).unlink, missing_ok=True)
+        on_failure.pop_all()
 
 
 def issue(folder: Path, identity: Identity, hosts: Sequence[str], lifetime: datetime.timedelta) -> Path:
@@ -96,31 +103,61 @@ def issue(folder: Path, identity: Identity, hosts: Sequence[str], lifetime: date
     _make_folder(target)
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = issuer.certify(identity, key.public_key(), names, lifetime)
-    write_new(target / CA, (folder / CA).read_bytes())
-    write_new(target / KEY, _pem(key))
+    # The certificate comes last: what an interrupted call has left counts for nothing, and is replaced.
+    replace(target / CA, (folder / CA).read_bytes())
+    replace(target / KEY, _pem(key))
+    with _locked(folder):
+        _admit(folder, {*credentials.read_members(folder / MEMBERS), identity})
     write_new(target / CERTIFICATE, certificate.public_bytes(Encoding.PEM))
-    _admit(folder, {*credentials.read_members(folder / MEMBERS), identity})
     return target
 
 
-def renew(folder: Path, identity: Identity, lifetime: datetime.timedelta) -> Path:
-    """Replace a process's key and certificate by new ones for the same name and hosts; return its folder."""
+def renew(folder: Path, identity: Identity, lifetime: datetime.timedelta, more: Sequence[str] = ()) -> Path:
+    """Replace a process's key and certificate by new ones for the same name and hosts; return its folder.
+
+    Args:
+        folder: the authority's folder.
+        identity: whom the certificate names.
+        lifetime: how long the new one is valid.
+        more: names and addresses that it serves besides those of the old one.
+    """
     target = folder / str(identity)
     old = credentials.read_certificate(target / CERTIFICATE)
     key = ec.generate_private_key(ec.SECP256R1())
-    names = [_general_name(host) for host in credentials.hosts_of(old)]
+    names = [_general_name(host) for host in (*credentials.hosts_of(old), *more)]
     certificate = _Authority(folder).certify(identity, key.public_key(), names, lifetime)
     replace(target / KEY, _pem(key))
     replace(target / CERTIFICATE, certificate.public_bytes(Encoding.PEM))
     return target
 
 
+def not_served(folder: Path, identity: Identity, hosts: Sequence[str]) -> list[str]:
+    """Return those of some names and addresses that a process's certificate does not serve."""
+    served = credentials.hosts_of(credentials.read_certificate(folder / str(identity) / CERTIFICATE))
+    return [host for host in hosts if str(_general_name(host).value) not in served]
+
+
 def revoke(folder: Path, identity: Identity) -> None:
     """Remove a process from the list of members; raise CredentialsError if it is not on it."""
-    members = set(credentials.read_members(folder / MEMBERS))
-    if identity not in members:
-        raise CredentialsError(f"{identity} is not on the list of members of {folder}.")
-    _admit(folder, members - {identity})
+    with _locked(folder):
+        members = set(credentials.read_members(folder / MEMBERS))
+        if identity not in members:
+            raise CredentialsError(f"{identity} is not on the list of members of {folder}.")
+        _admit(folder, members - {identity})
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep others from changing the list of members meanwhile."""
+    try:
+        held = os.open(folder / LOCK, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise CredentialsError(f"{folder / LOCK} cannot be written: {error.strerror}.") from error
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(held)
 
 
 def _admit(folder: Path, members: Iterable[Identity]) -> None:

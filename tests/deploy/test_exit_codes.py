@@ -1,12 +1,14 @@
 """Exit codes and error messages of commands."""
 
 import errno
+import io
 import subprocess
 import sys
+import time
 
 import pytest
 
-from common.errors import BusError, CheckpointError, ConfigError, EndpointError, RunDirError
+from common.errors import BusError, CancelledError, CheckpointError, ConfigError, EndpointError, RunDirError
 from deploy.exit_codes import run_command
 
 
@@ -84,3 +86,30 @@ def test_closed_pipe_is_quiet():
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait() == 141
+
+
+@pytest.mark.parametrize("stream", [None, "full"])
+def test_a_sentence_that_nobody_gets_changes_no_code(stream, monkeypatch):
+    """A user's mistake is 2 also where standard error is closed or its disk full, so that nobody restarts it."""
+
+    class Full(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(sys, "stderr", Full() if stream else None)
+    assert run_command(raising(ConfigError("no."))) == 2
+
+
+def test_who_is_ended_while_it_waits_has_not_failed(capsys):
+    """Nothing is said, and the code is 0."""
+    assert run_command(raising(CancelledError("ended."))) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_sigterm_ends_a_command_that_does_not_handle_it():
+    """With 128 + SIGTERM, after what the command had begun was ended."""
+    script = "import deploy.cli as c, time; c.dispatch = lambda words: time.sleep(60); c.main()"
+    with subprocess.Popen([sys.executable, "-c", script]) as process:
+        time.sleep(2.0)
+        process.terminate()
+        assert process.wait(30.0) == 143

@@ -18,8 +18,9 @@ from common.errors import ConfigError
 from deploy.cli import dispatch
 from deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, run
 from deploy.commands.training.learner import LearnerArguments
+from deploy.exit_codes import USAGE, run_command
 from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration, parse
+from deploy.options import base_configuration, parse, with_settings
 from rollout.farm_files import read_farm
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
@@ -193,7 +194,7 @@ def test_no_place_is_an_option_of_its_own(here, capsys):
 
 
 def test_a_saved_run_can_be_drawn_and_saved(here):
-    """`--config` of a run with given places gives its farm back, whatever density the options name."""
+    """`--config` of a run with given places gives its farm back."""
     config = base_configuration(["--farm-file", "orchard.geojson"])
     (here / "config.toml").write_text(to_toml(config))
     assert dispatch(["farm", "save", "--config", "config.toml", "--out", "again.geojson", "--latitude", "48.4"]) == 0
@@ -201,3 +202,21 @@ def test_a_saved_run_can_be_drawn_and_saved(here):
     assert sorted(again.sites) == pytest.approx(np.array(sorted(config.farm.world.sites)), abs=0.0015)
     features = json.loads((here / "again.geojson").read_text())["features"]
     assert len(features) == 46
+
+
+def test_a_density_is_for_sampled_places(here, capsys):
+    """A farm whose places are given is refused a density, from a farm file or from a configuration."""
+    (here / "config.toml").write_text(to_toml(base_configuration(["--farm-file", "orchard.geojson"])))
+    for more in (["show", "--farm-file", "orchard.csv"], ["save", "--config", "config.toml"]):
+        assert run_command(lambda more=more: dispatch(["farm", *more, "--density", "uniform"])) == USAGE
+        assert "--density has no effect on a farm whose sensors have given places." in capsys.readouterr().err
+    assert not list(here.glob("farm.*"))
+
+
+def test_settings_may_switch_their_part_on(here):
+    """The order of `--set` does not matter, and areas need no patches."""
+    corners = "[[0, 0], [50, 0], [50, 40.0]]"
+    several = ("farm.stress.growth=5", "farm.stress.patches=2", "farm.relay.link_range=90")
+    stress = with_settings(RunConfig(), several).farm.stress
+    assert (stress.growth, stress.patches) == (5, 2)
+    assert with_settings(RunConfig(), [f"farm.stress.areas=[[2, {corners}]]"]).farm.stress.areas[0][0] == 2

@@ -13,8 +13,8 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from common.errors import ConfigError, CredentialsError, EndpointError
-from common.transport.credentials import Identity, load
+from common.errors import CredentialsError, EndpointError
+from common.transport.credentials import Identity, load, read_members
 from common.transport.endpoint import Endpoint
 from deploy.commands.fleet.keys import command
 from deploy.security import authority
@@ -155,8 +155,15 @@ def test_hosts_are_for_listeners(own):
 )
 def test_names_that_are_no_identities_are_refused(text):
     """A common name without a role, or with a name that is no key segment, is refused."""
-    with pytest.raises((CredentialsError, ConfigError)):
+    with pytest.raises(CredentialsError):
         Identity.parse(text)
+
+
+def test_a_member_that_is_no_identity_is_reported_with_its_file(tmp_path):
+    """The file was edited by hand, and its name leads to the mistake."""
+    (tmp_path / "members.txt").write_text("rollout.a\nrollout.b/c\n")
+    with pytest.raises(CredentialsError, match=r"members\.txt: 'rollout\.b/c' is not a role and a name"):
+        read_members(tmp_path / "members.txt")
 
 
 def test_listening_elsewhere_needs_a_certificate_or_consent(keys_folder):
@@ -188,3 +195,39 @@ def test_the_command_makes_shows_renews_and_strikes(tmp_path, capsys):
     for wrong in (["issue", "pilot", "x"], ["issue", "learner", "x", "--host", "h"], ["renew", "rollout", "none"]):
         with pytest.raises(CredentialsError):
             command([*wrong, "--dir", folder])
+
+
+def test_an_interrupted_issue_can_be_repeated(own, monkeypatch):
+    """Without a certificate nothing has been issued, whatever lies there."""
+    real = authority.write_new
+
+    def full(path, data):
+        raise CredentialsError(f"{path} cannot be written: No space left on device.")
+
+    monkeypatch.setattr(authority, "write_new", full)
+    with pytest.raises(CredentialsError, match="No space left"):
+        issued(own, "rollout.late")
+    monkeypatch.setattr(authority, "write_new", real)
+    issued(own, "rollout.late")
+    assert Identity("rollout", "late") in read_members(own / "members.txt")
+    assert load(own / "rollout.late").identity == Identity("rollout", "late")
+
+
+def test_half_an_authority_is_none(tmp_path, monkeypatch):
+    """A call that fails leaves no files that would be in the way of the next one; a whole authority is kept."""
+    real, calls = authority.write_new, []
+
+    def full(path, data):
+        calls.append(path)
+        if len(calls) == 2:
+            raise CredentialsError(f"{path} cannot be written: No space left on device.")
+        real(path, data)
+
+    monkeypatch.setattr(authority, "write_new", full)
+    with pytest.raises(CredentialsError, match="No space left"):
+        authority.create(tmp_path / "keys")
+    assert not list((tmp_path / "keys").glob("*"))
+    authority.create(tmp_path / "keys")
+    with pytest.raises(CredentialsError, match="already exists"):
+        authority.create(tmp_path / "keys")
+    assert (tmp_path / "keys" / "ca.pem").exists()

@@ -135,6 +135,15 @@ def test_only_the_processes_that_are_named(tmp_path, fleet):
     assert not any("learner" in line for line in command.lines)
 
 
+def test_a_process_that_left_the_fleet_file_can_be_named(tmp_path, fleet):
+    """Its log is still there; of a name that no host knows, nothing is shown but a sentence."""
+    write(tmp_path / "here", "rollout.here-3", "gone\n")
+    shown = fleet.eia_sec("logs", str(fleet.file), "--process", "rollout.here-3")
+    assert shown == "== here rollout.here-3\ngone\n"
+    refused = fleet.eia_sec("logs", str(fleet.file), "--process", "rollout.here-3", "rollout.here-4", code=2)
+    assert refused.startswith(f"eia-sec: {fleet.file} has no process 'rollout.here-4'; it has keeper, ")
+
+
 def test_a_host_that_is_lost_is_named_and_the_others_go_on(tmp_path, fleet):
     """Its sentence comes at once and again at the end, with exit code 1."""
     fleet.edit("somebody@far", "unreachable")

@@ -14,7 +14,7 @@ from deploy.hosts import operations
 from deploy.hosts.fleet_file import read
 from deploy.hosts.history_collection import collect
 from deploy.hosts.plan import here, processes
-from deploy.hosts.render import render
+from deploy.hosts.render import left_over, render
 from deploy.options import parse
 
 File = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")]
@@ -88,8 +88,11 @@ def command(arguments: Sequence[str]) -> int:
         console.print(f"written to {fleet.keys}: {names}")
         return DONE
     if isinstance(task, RenderArguments):
-        for path in render(fleet, task.form, task.out):
+        written = render(fleet, task.form, task.out)
+        for path in written:
             console.print(f"written: {path}")
+        for path in left_over(fleet, task.out, written):
+            console.print(f"no longer in the fleet; delete it: {printable(str(path))}")
         return DONE
     found = collect(fleet, task.out)
     console.print(f"{found.files} files in {task.out}; check them with: eia-sec audit {task.out}")

@@ -54,12 +54,21 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _require_processes(fleet: FleetSpec, wanted: Sequence[str]) -> None:
-    """Raise UsageError for a name that no process of the fleet has."""
+    """Raise UsageError for a name that no process of the fleet has, and of which no host has a log.
+
+    A process that has left the fleet file still has its log.
+    """
     known = ["keeper", *(str(process.identity) for process in processes(fleet, here(fleet)))]
     strangers = [name for name in wanted if name not in known]
-    if strangers:
+    if strangers and (missing := _without_log(fleet, strangers)):
         more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
-        raise UsageError(f"{fleet.path} has no process {strangers[0]!r}; it has {', '.join(known[:NAMED])}{more}.")
+        raise UsageError(f"{fleet.path} has no process {missing[0]!r}; it has {', '.join(known[:NAMED])}{more}.")
+
+
+def _without_log(fleet: FleetSpec, names: Sequence[str]) -> list[str]:
+    """Return the names of which no host has a log; none while a host that may have it is not reached."""
+    found, failed = operations.logs(fleet, names, 1)
+    return [] if failed else [name for name in names if not any(name in texts for texts in found.values())]
 
 
 def _follow(fleet: FleetSpec, options: LogsArguments) -> int:

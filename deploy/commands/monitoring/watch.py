@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Final
 
 from common.config.checks import within
-from common.errors import EndpointError
+from common.errors import EiaSecError, EndpointError
 from common.names import check_name
 from common.process import StopSignal
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.exit_codes import DONE
 from deploy.monitor.web.hub import Hub
-from deploy.monitor.web.server import WebServer
+from deploy.monitor.web.server import WebServer, bracketed
 from deploy.monitor.web.source import Source
 from deploy.options import parse
 
@@ -67,16 +67,18 @@ def command(arguments: Sequence[str]) -> int:
         Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus,
         WebServer(hub, options.host, options.port, strangers=options.insecure) as server,
     ):
-        address = f"http://{options.host}:{server.port}/"
+        address = f"http://{bracketed(options.host)}:{server.port}/"
         sys.stdout.write(f"watch at {address}\n")
         sys.stdout.flush()
         if options.open:
             webbrowser.open(address)
-        _serve(Source(bus, options.run, options.worker, hub), hub, stop)
+        _serve(Source(bus, options.run, options.worker, hub), hub, server, stop)
     return DONE
 
 
-def _serve(source: Source, hub: Hub, stop: StopSignal) -> None:
+def _serve(source: Source, hub: Hub, server: WebServer, stop: StopSignal) -> None:
     while not stop.event.wait(TICK_SECONDS):
+        if server.failed:
+            raise EiaSecError("the web server has ended: too many files are open. Start eia-sec watch again.")
         source.tend(hub.seats > 0)
     source.leave()

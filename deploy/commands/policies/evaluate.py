@@ -10,19 +10,21 @@ from typing import Final
 from rich.console import Console
 
 from common.config import RunConfig
-from common.config.files import from_toml, with_setting
+from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.errors import PolicyError, RunDirError, UsageError
 from common.farm import require_farm
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
-from deploy.options import NO_FARM, parse, require_env, with_farm_file
+from deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from deploy.reports.comparison_tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate_run
 from rollout.policies import run_policy
 from rollout.shipped_policies import preset_of
 
 MAX_FARMS: Final = 100_000
+DIGITS: Final = 19
+"""Most digits of a farm's seed."""
 MAX_EPISODES: Final = 1_000_000
 """Most episodes on all farms together; the score of each is held in memory."""
 
@@ -104,7 +106,8 @@ def parse_farms(text: str) -> range:
         UsageError: it is not A:B with 0 <= A < B, or names more than MAX_FARMS farms.
     """
     first, colon, end = text.partition(":")
-    if not (colon and first.strip().isdecimal() and end.strip().isdecimal()):
+    first, end = first.strip(), end.strip()
+    if not (colon and first.isdecimal() and end.isdecimal() and max(len(first), len(end)) <= DIGITS):
         raise UsageError(f"--farms must be A:B with whole numbers, 1000:1020 for instance, not {text!r}.")
     farms = range(int(first), int(end))
     if not farms:
@@ -139,8 +142,7 @@ def configuration_of(arguments: EvaluateArguments, farm_only: str | None = None)
         config = replace(config, env=replace(config.env, name=arguments.env))
     if arguments.farm_file is not None:
         config = with_farm_file(config, arguments.farm_file)
-    for assignment in arguments.set:
-        config = with_setting(config, assignment)
+    config = with_settings(config, arguments.set)
     if arguments.farm_file is not None:
         require_farm(config, NO_FARM)  # --set may have named another environment
     return config

@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 from common.config import FarmConfig
 from common.config.checks import within
 from common.config.farm.world import Density
-from common.config.files import from_toml, with_setting
+from common.config.files import from_toml
 from common.config.presets import PRESETS
+from common.errors import UsageError
 from deploy.exit_codes import DONE
-from deploy.options import parse, with_farm_file
+from deploy.options import parse, with_farm_file, with_settings
 from deploy.reports.farm_plots import draw_farm
 from rollout.farm_files import read_farm, write_farm
 
@@ -51,10 +52,10 @@ class SaveArguments(Source):
 
     out: Path = Path("farm.csv")
     """Output file; the suffix selects the format: .csv, or .geojson or .json."""
-    longitude: float = 0.0
-    """Longitude of the field's south-west corner, degrees; GeoJSON only."""
-    latitude: float = 0.0
-    """Latitude of the field's south-west corner, degrees; GeoJSON only."""
+    longitude: float | None = None
+    """Longitude of the field's south-west corner, degrees; GeoJSON only. Default: 0."""
+    latitude: float | None = None
+    """Latitude of the field's south-west corner, degrees; GeoJSON only. Default: 0."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def command(arguments: Sequence[str]) -> int:
         draw_farm(_farm(task, task.farm_file), task.seed, task.out)
         console.print(f"written: {task.out}")
     elif isinstance(task, SaveArguments):
-        write_farm(task.out, _farm(task, None), task.seed, (task.longitude, task.latitude))
+        write_farm(task.out, _farm(task, None), task.seed, _corner(task))
         console.print(f"written: {task.out}")
     else:
         _check(task.file, console)
@@ -93,16 +94,25 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
-    """Return the farm that the options choose."""
+    """Return the farm that the options choose; raise UsageError for a density that would have no effect."""
     within(0, 2**63 - 1, seed=source.seed)
     config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
     if farm_file is not None:
         config = with_farm_file(config, farm_file)
-    for assignment in source.set:
-        config = with_setting(config, assignment)
+    config = with_settings(config, source.set)
     if source.density is None:
         return config.farm
+    if config.farm.world.sites:
+        raise UsageError("--density has no effect on a farm whose sensors have given places.")
     return replace(config.farm, world=replace(config.farm.world, density=source.density))
+
+
+def _corner(task: SaveArguments) -> tuple[float, float]:
+    """Return longitude and latitude of the field's corner, degrees."""
+    for name, degrees in (("--longitude", task.longitude), ("--latitude", task.latitude)):
+        if degrees is not None and task.out.suffix.lower() == ".csv":
+            raise UsageError(f"{name} has no effect on {task.out}; a file that ends in .geojson holds degrees.")
+    return task.longitude or 0.0, task.latitude or 0.0
 
 
 def _check(path: Path, console: Console) -> None:

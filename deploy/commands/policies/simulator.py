@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.config.checks import positive, within
+from common.errors import UsageError
 from common.farm import farm_team
 from common.names import check_name
 from common.process import StopSignal
@@ -76,17 +77,26 @@ def _links(
     fastest = farm.world.speed_x_max, farm.world.speed_y_max
     vehicles, names = vehicles_of(options.vehicle), farm_team(farm).agent_names
     require_agents(vehicles, names, "the farm's")
-    named = {agent: vehicle for vehicle, agent in vehicles.items()}
+    named = {agent: agent for agent in names} | {agent: vehicle for vehicle, agent in vehicles.items()}
+    _require_own_names(named)
     shared: Bus | None = None
     links = {}
     for agent in names:
-        vehicle = named.get(agent, agent)
+        vehicle = named[agent]
         if shared is None or options.tls is not None:
             folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None
             endpoint = Endpoint.parse(options.connect, folder)
             shared = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
         links[agent] = VehicleLink(shared, options.run, vehicle, agent, fastest)
     return links
+
+
+def _require_own_names(named: Mapping[str, str]) -> None:
+    """Raise UsageError when a vehicle is named as another agent's."""
+    owners: dict[str, str] = {}
+    for agent, vehicle in named.items():
+        if (other := owners.setdefault(vehicle, agent)) != agent:
+            raise UsageError(f"{other} and {agent} would both be the vehicle {vehicle}; name each one with --vehicle.")
 
 
 def metrics(flight: Flight, refused: int) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rich.live import Live
 from common.config import RunConfig
 from common.config.checks import within
 from common.config.presets import SAVED
-from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
+from common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
 from common.process import StopSignal
 from common.protocol import keys
 from common.protocol.messages import CommandMessage
@@ -234,7 +234,7 @@ class _Training:
             waiting = (lambda: True) if stopping else (lambda: not self._stop)
             try:
                 return Bus.connect(self._endpoint, "control", wait=0.5, waiting=waiting)
-            except EndpointError:
+            except (EndpointError, CancelledError):
                 self._supervisor.watch()
                 if learner.done or stopping:
                     return None

@@ -5,10 +5,11 @@ WebSockets that another site's page opens are refused.
 """
 
 import http
+import socket
 import threading
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -30,9 +31,15 @@ FILES: Final = {
 """The paths that are served, with file and content type."""
 STREAM: Final = "/stream"
 MAX_BROWSERS: Final = 16
+MAX_CONNECTIONS: Final = 64
+"""Most connections at a time, those included whose request has not come; more are closed at once."""
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+HTTP: Final = 80
+"""The port that browsers leave out of Host and Origin."""
 SECONDS: Final = 3.0
 """Time that a browser has to open or close a connection."""
+SEND_SECONDS: Final = 10.0
+"""Time that a browser may read nothing before it is disconnected."""
 LOOK_SECONDS: Final = 0.5
 """Seconds between two checks whether an idle browser is still there."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:"
@@ -49,7 +56,7 @@ class WebServer:
 
     Attributes:
         port: the port that it listens on.
-        refused: requests that were refused.
+        refused: requests that were refused, and connections beyond MAX_CONNECTIONS.
 
     Raises:
         EndpointError: the address is taken or does not belong to this machine.
@@ -57,13 +64,16 @@ class WebServer:
 
     def __init__(self, hub: Hub, host: str, port: int, *, strangers: bool = False) -> None:
         self._hub, self._strangers = hub, strangers
-        self._names = (*LOOPBACK, host)
+        address = host.strip("[]")
+        self._names = (*LOOPBACK, bracketed(host))
         self.refused = 0
         try:
             self._server: Server = serve(
                 self._feed,
-                host.strip("[]"),
+                address,
                 port,
+                family=socket.AF_INET6 if ":" in address else socket.AF_INET,
+                create_connection=self._counted(),
                 process_request=self._answer,
                 compression=None,
                 open_timeout=SECONDS,
@@ -76,6 +86,24 @@ class WebServer:
             ) from error
         self.port: int = self._server.socket.getsockname()[1]
         self._thread = threading.Thread(target=self._server.serve_forever, name="web")
+
+    @property
+    def failed(self) -> bool:
+        """Whether the server has ended by itself."""
+        return self._thread.ident is not None and not self._thread.is_alive()
+
+    def _counted(self) -> type[ServerConnection]:
+        """Return a kind of connection of which there are MAX_CONNECTIONS at most."""
+        web = self
+
+        class Counted(ServerConnection):
+            def __init__(self, connected: socket.socket, protocol: Any, server: Server, **options: Any) -> None:
+                if len(server.handler_threads) > MAX_CONNECTIONS:
+                    web.refused += 1
+                    raise ConnectionAbortedError
+                super().__init__(connected, protocol, server, **options)
+
+        return Counted
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -103,9 +131,10 @@ class WebServer:
     def _objection(self, path: str, hosts: list[str], origins: list[str]) -> tuple[http.HTTPStatus, str] | None:
         """Return why a request is refused, or None."""
         host, found = "".join(hosts), None
+        own = {f"{name}:{self.port}" for name in self._names} | (set(self._names) if self.port == HTTP else set())
         if len(hosts) > 1 or len(origins) > 1:
             found = http.HTTPStatus.BAD_REQUEST, "A request has one Host and one Origin."
-        elif not (self._strangers or host in {f"{name}:{self.port}" for name in self._names}):
+        elif not (self._strangers or host in own):
             found = http.HTTPStatus.MISDIRECTED_REQUEST, "This server answers its own machine only."
         elif path != STREAM and path not in FILES:
             found = http.HTTPStatus.NOT_FOUND, "There is no such page."
@@ -120,6 +149,7 @@ class WebServer:
         seat = self._hub.enter(MAX_BROWSERS)
         if seat is None:
             return
+        connection.socket.settimeout(SEND_SECONDS)
         try:
             reported = 0
             while connection.close_code is None:
@@ -133,6 +163,11 @@ class WebServer:
             return
         finally:
             self._hub.leave(seat)
+
+
+def bracketed(host: str) -> str:
+    """Return a host as it stands in a URL."""
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host
 
 
 def _response(status: http.HTTPStatus, kind: str, body: bytes) -> Response:

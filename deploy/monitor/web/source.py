@@ -7,6 +7,7 @@ from typing import Final
 from common.config import FarmConfig
 from common.config.presets import read_saved
 from common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
+from common.names import is_name
 from common.process import denial
 from common.protocol import keys
 from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
@@ -16,6 +17,8 @@ from deploy.monitor.web import packets
 from deploy.monitor.web.hub import Hub
 from rollout.sim.layout import make_layout
 
+MOST_WORKERS: Final = 4096
+"""Most living workers that are remembered."""
 CAPACITY: Final = 128
 """Most messages that wait; a worker sends about thirty per episode, all at once if it is fast."""
 RENEWALS: Final = 4
@@ -92,6 +95,9 @@ class Source:
     def _look_around(self) -> None:
         for sample in self._alive.drain():
             name = sample.key.rsplit("/", 1)[-1]
+            if not is_name(name) or (sample.present and len(self._living) >= MOST_WORKERS):
+                self.malformed += 1
+                continue
             (self._living.add if sample.present else self._living.discard)(name)
 
     def _choose(self) -> None:
@@ -159,6 +165,5 @@ class Source:
 
     def _report(self, now: float) -> None:
         self._reported = now
-        missed = self._views.missed if self._views is not None else 0
-        counts = {"lost": self.lost + missed, "malformed": self.malformed, "skipped": self.skipped}
+        counts = {"lost": self.lost, "malformed": self.malformed, "skipped": self.skipped}
         self._hub.report(packets.state(self._sentence, counts))

@@ -10,6 +10,7 @@ import pytest
 
 from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, CredentialsError
+from common.transport import credentials
 from deploy.commands.training.learner import LearnerArguments
 from deploy.commands.training.train import TrainArguments
 from deploy.hosts import operations
@@ -140,6 +141,7 @@ def test_training_is_resolved(tmp_path):
         (SMALL + '[network]\nendpoint = "farm"\n', "not an endpoint"),
         (SMALL + '[training]\npreset = "huge"\n', "no preset 'huge'"),
         (SMALL + '[training]\nset = ["episodes = 0"]\n', "episodes must be"),
+        (SMALL + '[training]\nset = ["farm.battery.power = 9.0"]\n', "no effect while farm.battery.capacity is 0"),
         (SMALL + '[training]\nset = ["algorithm.hidden = 4096"]\n', "lower algorithm.hidden"),
         (SMALL + '[training]\nconfig = "none.toml"\n', "none.toml cannot be read"),
     ],
@@ -183,6 +185,17 @@ def test_keys_are_made_for_everybody_once(tmp_path):
     assert "keys/router.main/members.txt" in request["files"]
     assert not any("ca.key" in name for name in request["files"])
     assert "BEGIN PRIVATE KEY" not in str(request["processes"])
+
+
+def test_a_new_name_of_the_listener_renews_its_certificate(tmp_path):
+    """The certificate serves the new names and addresses besides the old ones, and nobody else gets another one."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nendpoint = "tls/farm:7447"\nkeys = "k"\nnames = ["10.0.0.1"]\n'
+    operations.issue_keys(read(written(tmp_path, text)), 30)
+    more = read(written(tmp_path, text.replace('"10.0.0.1"', '"[2001:db8::1]", "barn.local"')))
+    assert [str(identity) for identity in operations.issue_keys(more, 30)] == ["router.main"]
+    served = credentials.load(tmp_path / "k" / "router.main").hosts
+    assert {"farm", "10.0.0.1", "2001:db8::1", "barn.local"} <= set(served)
+    assert operations.issue_keys(more, 30) == []
 
 
 def test_a_new_member_restarts_the_router_alone(tmp_path):

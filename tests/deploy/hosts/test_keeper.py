@@ -1,5 +1,6 @@
 """The keeper of a host: full disks, plans that cannot be read, and what becomes of processes that ended."""
 
+import fcntl
 import json
 import os
 import subprocess
@@ -171,3 +172,75 @@ def test_a_run_that_came_to_its_end_is_over(tmp_path, metrics, changed, over):
     wanted = {agent.LEARNER: {**learner, "threads": 2} if changed else learner}
     assert agent._is_over(tmp_path, wanted) is over
     assert not agent._is_over(tmp_path, {"rollout.a": learner})
+
+
+@pytest.mark.parametrize(("word", "awaited"), [("deploy.cli", True), ("somebody.else", False)])
+def test_the_processes_of_a_killed_keeper_are_awaited(tmp_path, word, awaited):
+    """They still hold the run directory and the ports; a process that only has a number of theirs is none of them."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(2.0)", word])
+    write_json(tmp_path / STATE, {"processes": {"learner.learner": {"pid": child.pid}, "rollout.a": {"pid": 0}}})
+    try:
+        agent._await_orphans(tmp_path)
+        assert (child.poll() is not None) == awaited
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_nobody_waits_for_ever_for_the_processes_of_a_killed_keeper(tmp_path, monkeypatch):
+    """One that hangs is left to the new keeper's log; a torn state names nobody."""
+    monkeypatch.setattr(agent, "ORPHAN_SECONDS", 0.3)
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)", "deploy.cli"])
+    try:
+        write_json(tmp_path / STATE, {"processes": {"learner.learner": {"pid": child.pid}}})
+        agent._await_orphans(tmp_path)
+        (tmp_path / STATE).write_text("{")
+        agent._await_orphans(tmp_path)
+        assert child.poll() is None
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_a_full_disk_does_not_keep_processes_alive(tmp_path, monkeypatch):
+    """`down` signals them itself where no plan can be written, and only those that are ours."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)", "deploy.cli"])
+    stranger = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)"])
+    pids = {"rollout.a-0": child.pid, "rollout.a-1": stranger.pid}
+    processes = {name: {"arguments": ["x"], "threads": 1} for name in pids}
+    write_json(tmp_path / PLAN, new_plan(processes, again=True))
+    write_json(tmp_path / STATE, {"pid": 1, "processes": {name: {"pid": pid} for name, pid in pids.items()}})
+
+    def full(path, value):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(agent, "write_json", full)
+    try:
+        with keeper.lock(tmp_path):
+            agent.down(tmp_path, ["rollout"], 0.5, kill=False)
+            assert child.wait(10.0) == -15
+            assert stranger.poll() is None
+    finally:
+        for process in (child, stranger):
+            process.kill()
+            process.wait()
+
+
+def test_two_who_look_for_a_keeper_do_not_see_each_other(tmp_path):
+    """Looking takes a lock that others may take, too; a keeper's excludes them."""
+    with (tmp_path / keeper.LOCK).open("a") as other:
+        fcntl.flock(other, fcntl.LOCK_SH)
+        assert not keeper.is_kept(tmp_path)
+    with keeper.lock(tmp_path):
+        assert keeper.is_kept(tmp_path)
+
+
+def test_a_plan_of_the_same_time_is_read(kept, tmp_path):
+    """A file system's time may be coarse; a plan is always another file."""
+    plan(tmp_path, one=LONG)
+    turn(kept)
+    before = (tmp_path / PLAN).stat()
+    plan(tmp_path, one=LONG, two=LONG)
+    os.utime(tmp_path / PLAN, ns=(before.st_atime_ns, before.st_mtime_ns))
+    turn(kept)
+    assert set(states(tmp_path)) == {"rollout.one", "rollout.two"}

