@@ -13,6 +13,7 @@ EiaSecError
 │   ├── VersionError           another protocol version or another team layout
 │   └── KeyExpressionError     a key that no declaration covers
 ├── SimulationError            a simulated farm used against its contract
+├── CancelledError             work that was given up because its process ends
 ├── HostError                  a host of a fleet that cannot be reached, or on which a command failed
 ├── CheckpointError            a checkpoint that is truncated, corrupted or of another layout
 └── BusError                   the bus cannot do what was asked

@@ -5,10 +5,14 @@ learner's count of applied events.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 from common.config import EliteConfig, RunConfig
 from common.errors import SchemaError
 from common.team import TeamSpec
+
+MOST_STEPS: Final = 2**48
+"""Most environment steps of an evaluation."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,8 @@ class ImitationEvent:
         """Raise SchemaError unless the event fits the team."""
         if self.event < 1 or not 0.0 <= self.rate <= 1.0:
             raise SchemaError(f"imitation event {self.event} with rate {self.rate} is impossible.")
+        if not 0 <= self.evaluation_steps <= MOST_STEPS:
+            raise SchemaError(f"an evaluation of {self.evaluation_steps} steps is impossible.")
         if len(self.elites) != len(team.groups) or len(self.scores) != len(team.groups):
             raise SchemaError("the imitation event is for another number of types.")
         for group, elite, scores in zip(team.groups, self.elites, self.scores, strict=True):

@@ -25,7 +25,7 @@ from common.team import TeamSpec
 
 FORMAT: Final = "eia-sec policy 1"
 MAX_FILE_BYTES: Final = 256 * 2**20
-MAX_HEADER_BYTES: Final = 64 * 2**10
+MAX_HEADER_BYTES: Final = 2**20
 MAX_HIDDEN: Final = 65_536
 RESERVED: Final = ("format", "team", "hidden", "head", "memory", "digest")
 """Metadata keys that this module writes itself."""
@@ -42,7 +42,8 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
         half: store 16-bit floats; this halves the file and rounds the parameters to 11 significant bits.
 
     Raises:
-        PolicyError: a metadata key is reserved, a parameter is too large for 16 bits, or the file cannot be written.
+        PolicyError: a metadata key is reserved, a parameter is too large for 16 bits, the team's description is too
+            long, or the file cannot be written.
     """
     taken = sorted(set(metadata) & set(RESERVED))
     if taken:
@@ -62,7 +63,10 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
     if actors.memory != "none":  # files of actors without memory are those of earlier versions
         header["memory"] = actors.memory
     names = [group.name for group in actors.team.groups]
-    _write(path, save(dict(zip(names, stored, strict=True)), metadata=header))
+    data = save(dict(zip(names, stored, strict=True)), metadata=header)
+    if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
+        raise PolicyError(f"the description of the policy's team takes more than {MAX_HEADER_BYTES // 2**10} KiB.")
+    _write(path, data)
 
 
 def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:

@@ -3,6 +3,7 @@
 import atexit
 import datetime
 import os
+import queue
 import signal
 import socket
 import sys
@@ -33,11 +34,13 @@ class StopSignal:
 
     def __init__(self) -> None:
         self.event = threading.Event()
+        self._caught: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def install(self) -> None:
         """Handle SIGINT and SIGTERM; only the main thread may call this."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+        threading.Thread(target=self._pass_on, name="signals", daemon=True).start()
         supervisor = os.environ.get(SUPERVISOR, "")
         if supervisor.isdecimal():
             threading.Thread(target=self._watch, args=(int(supervisor),), name="orphan-watch", daemon=True).start()
@@ -55,6 +58,11 @@ class StopSignal:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        # Setting the event would wait for ever for the lock of a wait that the signal interrupts in this thread.
+        self._caught.put(number)
+
+    def _pass_on(self) -> None:
+        self._caught.get()
         self.event.set()
 
     def __bool__(self) -> bool:
@@ -79,7 +87,7 @@ def log(text: str) -> None:
             f"{time.strftime('%H:%M:%S')} {before}{SEPARATOR.join(map(printable, text.split(SEPARATOR)))}\n"
         )
         sys.stderr.flush()
-    except (OSError, ValueError):
+    except (OSError, ValueError, AttributeError):  # the latter where there is no standard error at all
         _unwritten[0] += 1
     else:
         _unwritten[0] = 0
@@ -97,7 +105,7 @@ class Presence:
     Args:
         bus: the control lane.
         run: the run's name.
-        role: rollout, learner or elite.
+        role: rollout, learner, elite or flight.
         name: the process's name inside its role.
         incarnation: number of this start.
     """
@@ -148,6 +156,9 @@ def fetch_configuration(
 
     Returns:
         The answer, or None when `keep_waiting` returned False.
+
+    Raises:
+        ProtocolError: when the answer is malformed.
     """
     key = keys.COMMAND.key(run, verb="configuration")
     logged = time.monotonic()

@@ -1,13 +1,15 @@
 """Named random streams: every draw follows from integer seeds, in whatever order streams are created."""
 
 import hashlib
+import operator
 
 import numpy as np
 
 
 def derive(*parts: int | str) -> int:
     """Return a 63-bit seed that depends on every part and on their order."""
-    digest = hashlib.sha256("\x1f".join(f"{type(p).__name__}:{p}" for p in parts).encode()).digest()
+    texts = (f"str:{part}" if isinstance(part, str) else f"int:{operator.index(part)}" for part in parts)
+    digest = hashlib.sha256("\x1f".join(texts).encode()).digest()
     return int.from_bytes(digest[:8], "little") >> 1
 
 

@@ -111,7 +111,12 @@ class Rows:
         if self.state is None and not memory:
             return
         found = None if self.state is None else self.state.shape
-        if self.state is None or self.state.dtype != np.float32 or self.state.shape[1:] != (team.agents, memory):
+        if (
+            self.state is None
+            or not memory
+            or self.state.dtype != np.float32
+            or self.state.shape[1:] != (team.agents, memory)
+        ):
             raise SchemaError(f"the actors' state is {found}, which does not fit {team.agents} agents of {memory}.")
         if not (np.abs(self.state) <= MOST_STATE).all():
             raise SchemaError(f"the actors' state holds a number that is not finite or larger than {MOST_STATE}.")

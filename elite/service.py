@@ -209,8 +209,11 @@ class Coordinator:
             answers = self._ask_all(orders, versions, stop)
             found.update(answers)
             late = [worker for worker, share, _ in orders if share[0] not in answers]
+            waited = time.monotonic() - started
             if late and not stop:
-                self._note_late(event, late, silent, len(orders), time.monotonic() - started)
+                self._note_late(event, late, silent, len(orders), waited)
+            elif not late:
+                self._patience = min(self._patience, max(ANSWER_SECONDS, 2.0 * waited))
         return [found[index] for index in range(len(farms))], min(versions)
 
     def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
@@ -299,6 +302,7 @@ def serve(options: CoordinatorOptions) -> None:
     Raises:
         EndpointError: when nobody listens at the endpoint in time.
         UsageError: when the learner's configuration cannot be read.
+        ProtocolError: when its answer is malformed.
     """
     stop = StopSignal()
     stop.install()

@@ -1,6 +1,6 @@
 """Running means of the updates' diagnostics for each agent, and a comparison of the critics with realised returns.
 
-    critic_loss         mean of the squared TD errors of the agent's (first) critic
+    critic_loss         mean of the squared TD errors of the agent's (first) critic; with the mixture loss, of Q_P
     critic_error        mean of their absolute values
     q_mean              mean Q of the batch's own actions, before the update's step; see below
     target_mean         mean Y

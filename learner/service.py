@@ -200,10 +200,16 @@ class Learner:
         """Answer commands and imitation events, and check that this learner may go on."""
         if not self._receiver.alive:
             raise BusError("the receiving thread has ended; no more chunks can be received.")
+        if self._receiver.repeats:
+            raise UsageError(
+                "the worker of this lockstep run has been restarted, and would repeat its first episodes; "
+                "begin the run again in another folder."
+            )
         self._times.lap(producers_wait=self.trainer.leads())
         self._stop_if_replaced()
         self._commands.answer()
-        self._imitations.answer()
+        if self.trainer.between_iterations:
+            self._imitations.answer()
 
     def _stop_if_replaced(self) -> None:
         if self._successor.replaced():
@@ -236,8 +242,9 @@ class Learner:
 
     def _checkpoint(self, *, wait: bool = False) -> None:
         with self._times.measure("checkpoint"):
-            self._storage.save(self.trainer, self._feed.ledger, self._reporter.elapsed, self._epoch, wait=wait)
-            self._compaction.on_checkpoint(self._feed.ledger, failed=bool(self._storage.alarm))
+            ledger, elapsed = self._feed.ledger, self._reporter.elapsed
+            if self._storage.save(self.trainer, ledger, elapsed, self._epoch, wait=wait):
+                self._compaction.on_checkpoint(ledger, failed=bool(self._storage.alarm))
         self._schedule.checkpoint_timer.restart(time.monotonic())
 
     def _end(self, state: str) -> None:
@@ -281,6 +288,10 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
     Raises:
         EndpointError: when the endpoint is in use, or the router does not answer.
         RunDirError: when the run directory belongs to another configuration.
+        ConfigError: when the device does not exist, or the algorithm cannot train the team.
+        CheckpointError: when a resumed run has checkpoints and all are damaged, or the newest whole one does not fit.
+        UsageError: when a newer learner has taken over, or the worker of a lockstep run was restarted.
+        EiaSecError: when the final policy cannot be written.
     """
     torch.set_num_threads(config.learner.threads)
     stop = StopSignal()

@@ -126,6 +126,11 @@ class Trainer(ABC):
         return self.updates + self.events
 
     @property
+    def between_iterations(self) -> bool:
+        """Whether actors may be changed from outside: no iteration's updates are halfway done."""
+        return True
+
+    @property
     def iteration(self) -> tuple[int, int] | None:
         """The iteration that the next chunks enter, and the steps that it still takes in.
 

@@ -16,7 +16,7 @@ from learner.on_policy.advantages import advantages
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:
-    """Do every kind of update once; do nothing on an accelerator.
+    """Do every kind of update once, off policy on a processor only; on policy, run the one kernel of its updates.
 
     Args:
         config: the run.

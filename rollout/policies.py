@@ -24,7 +24,7 @@ from common.team import Float32, TeamSpec
 from rollout.envs.base import Environments
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
-from rollout.shipped_policies import SHIPPED, shipped_file
+from rollout.shipped_policies import SHIPPED, is_file, shipped_file
 from rollout.sim.batch import FarmBatch
 
 World_contra = TypeVar("World_contra", contravariant=True)
@@ -123,7 +123,7 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
     found: Policy | None = heuristic(name, config)
     if found is not None:
         return found
-    if Path(name).is_file():
+    if is_file(Path(name)):
         return trained_policy(Path(name), config)
     raise PolicyError(
         f"there is no policy {name!r}: give one of {', '.join(POLICIES)}, TASK+{'|'.join(RELAYS)}, or a policy file."
@@ -140,7 +140,7 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
         return policy_of(name, farm)
     if name == "random":
         return RandomPolicy()
-    if not Path(name).is_file():
+    if not is_file(Path(name)):
         raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
     return ActorPolicy(load_policy(Path(name))[0])
 

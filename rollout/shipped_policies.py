@@ -31,6 +31,14 @@ def policy_path(name: str) -> Path:
     return shipped_file(name) if name in SHIPPED else Path(name)
 
 
+def is_file(path: Path) -> bool:
+    """Return whether a path leads to a file; False if it leads nowhere or where this user may not look."""
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long, or a folder that cannot be searched
+        return False
+
+
 def preset_of(policy: str | None) -> str:
     """Return the preset on whose farm a policy flies unless a configuration is given."""
     return SHIPPED[policy][0] if policy in SHIPPED else "default"

@@ -16,7 +16,7 @@ from common.farm import farm_environment, farm_of
 from common.names import NAME
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
-from rollout.shipped_policies import SHIPPED, policy_path, preset_of
+from rollout.shipped_policies import SHIPPED, is_file, policy_path, preset_of
 
 MISFIT: Final = (
     'Observations, actions or networks differ. Leave the option empty ("") to begin with fresh actors, '
@@ -93,7 +93,7 @@ def _pairs(text: str) -> dict[str, str]:
     """Return the policies of the types that a text type=policy, .. names; nothing if it is the name of one policy."""
     parts = [part.strip() for part in text.split(",")]
     found = [_PAIR.fullmatch(part) for part in parts if part]
-    if not any(found) or _is_file(Path(text)):
+    if not any(found) or is_file(Path(text)):
         return {}
     pairs = {pair[1]: pair[2] for pair in found if pair}
     if len(pairs) < len(found):
@@ -102,13 +102,6 @@ def _pairs(text: str) -> dict[str, str]:
             f"not {text!r}."
         )
     return pairs
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name that is too long, or a folder that cannot be searched
-        return False
 
 
 def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
@@ -122,7 +115,7 @@ def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
 
 def _source(name: str) -> _Source:
     path = policy_path(name)
-    if not _is_file(path):
+    if not is_file(path):
         raise PolicyError(f"algorithm.start_policy {name!r} is neither a policy that ships nor a readable file.")
     return _Source(load_policy(path)[0], _observed(_origin(name)))
 

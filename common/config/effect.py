@@ -15,7 +15,9 @@ SWITCHES: Final = (
     ("env.", "env.name", FARM),
     ("farm.observation.plan_", "farm.observation.plan", 0),
     ("farm.battery.", "farm.battery.capacity", 0.0),
-    ("farm.stress.", "farm.stress.patches", 0),
+    ("farm.stress.radius", "farm.stress.patches", 0),
+    ("farm.stress.growth", "farm.stress.patches", 0),
+    ("farm.stress.seconds", "farm.stress.patches", 0),
     ("farm.wind.direction", "farm.wind.speed", 0.0),
     ("farm.wind.gust_", "farm.wind.gusts", 0.0),
     ("farm.relay.base", "farm.relay.require_link", False),
@@ -42,6 +44,8 @@ def without_effect(config: RunConfig, key: str) -> str | None:
 
 def switched_off(config: RunConfig, key: str) -> str | None:
     """Return why an option has no effect because its part of the configuration is switched off, or None."""
+    if key.startswith("farm.") and config.env.is_third_party:
+        return f"{key} has no effect with {config.env.name}."
     for part, switch, off in SWITCHES:
         section, _, field = switch.rpartition(".")
         if key.startswith(part) and key != switch and getattr(attrgetter(section)(config), field, None) == off:

@@ -31,7 +31,8 @@ class EliteConfig:
     weight_variance: float = -0.1
     """beta_2, weight of the variance of the scaled step rewards in omega (ours)."""
     farms: int = 4
-    """Noise-free evaluation episodes of one event, each on a different training farm (ours)."""
+    """Noise-free evaluation episodes of one event, each on a different training farm, so at most `rollout.train_farms`
+    (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse impossible schedules and scores."""

@@ -63,7 +63,8 @@ class LearnerConfig:
     device: str = "cpu"
     """Device of the networks: cpu, cuda, or cuda:1 for the second GPU."""
     publish_seconds: float = 0.5
-    """Shortest time between two published parameter versions, s."""
+    """Shortest time between two published parameter versions off policy, s. On policy and after imitation events they
+    are published at once."""
     checkpoint_seconds: float = 60.0
     """Time between two checkpoints, s."""
     keep_checkpoints: int = 2

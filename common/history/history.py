@@ -364,10 +364,10 @@ class History:
             path.parent.mkdir(exist_ok=True)
             with beside.open("w", encoding="utf-8") as file:
                 file.writelines(text(record) + "\n" for record in self._joined)
+                held = os.fstat(file.fileno())
             os.replace(beside, path)
+            self._identity = held.st_dev, held.st_ino  # also where it cannot be opened again
             self._file = path.open("a", encoding="utf-8")
-            held = os.fstat(self._file.fileno())
-            self._identity = held.st_dev, held.st_ino
             self._lines = 0
             self.failure = self._standing
         except OSError as error:

@@ -20,6 +20,8 @@ Marks = Mapping[str, tuple[int, int]]
 def summarised(records: Iterable[Record], marks: Marks) -> list[Record]:
     """Return a learner's records with the chunks before the marks replaced by totals.
 
+    Starts come first, and ends are left out.
+
     Args:
         records: the history; no start of the learner can resume from before the marks.
         marks: each worker's position in the oldest kept checkpoint.

@@ -42,7 +42,10 @@ def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
 
 
 def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
-    """Raise ConfigError for a run whose chunks, actors or evaluations could exceed a frame."""
+    """Raise ConfigError for a run whose chunks, actors or evaluations could exceed a frame.
+
+    Evaluations in environments whose episodes differ in length are not checked.
+    """
     most, team = MAX_FRAME - ROOM, environment.team
     chunk, flights = chunk_bytes(config, environment), evaluation_bytes(config, environment)
     actors = actor_bytes(config, team)

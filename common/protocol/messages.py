@@ -99,7 +99,7 @@ class ParametersMessage(Message):
         team: digest of the team layout.
         hidden: width of the hidden layers.
         head: kind of the last layer, deterministic or gaussian.
-        flat: for each type, [n_v, P_v] float32, see `common.actors`.
+        flat: for each type, [n_v, P_v] float32, or [1, P_v] where agents share them, see `common.actors`.
         memory: kind of memory, see `common.gru`; left out for actors without memory.
     """
 
@@ -124,7 +124,7 @@ class ProgressMessage(Message):
         epoch: the learner's fencing epoch.
         version, events: newest published parameter version, and imitation events applied.
         episodes, environment_steps, updates: training episodes finished, environment steps accepted, updates done.
-        state: starting, training, draining or finished.
+        state: training, draining or finished.
         window: environment steps that a worker may have under way, NO_LIMIT where nothing limits them. A worker that
             has as many waits, because the learner would get what it flew too late (on policy).
     """
@@ -228,7 +228,7 @@ class ImitationMessage(Message):
         evaluation_steps: environment steps that its evaluation took.
     """
 
-    KIND = 11
+    KIND, MOST_HEADER = 11, 1024 * 1024
     epoch: int
     event: int
     version: int
@@ -256,7 +256,7 @@ class MetricMessage(Message):
         counter: grows by one with each message, so gaps show.
         host: the machine's name.
         pid: process id.
-        uptime: seconds since the process started.
+        uptime: seconds since the process joined the run.
         values: metrics by name, see `common.protocol.metrics`; numbers, strings, and lists and maps of them.
     """
 
@@ -360,7 +360,7 @@ class ViewMessage(Message):
         vdf: [F, n_px, n_py] VDF of each plot over VDF_max, in 255ths.
         level: [F, 2] mean AoI and mean VDF, units.
         parts: [F, types, K] parts of the step reward, averaged over the agents of each type.
-        gone: [F, n] 1 for UAVs that have failed; left out where none can.
+        gone: [F, n] 1 for UAVs that have failed, are missing or have no charge; left out where none can.
         charge: [F, n] charge over capacity, in 255ths; left out without batteries.
         known: [F, P] 1 for patches of stress that the team knows; left out without patches.
     """
@@ -390,7 +390,7 @@ class DeliveryMessage(Message):
 
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.
-        flown: environment steps that this incarnation had simulated when it sent this, those in its spool included.
+        flown: environment steps in whole chunks that this incarnation had simulated by then, its spool included.
         sizes: bytes of each chunk's frame; see `common.protocol.chunk_messages` for how many and how large.
     """
 

@@ -25,7 +25,7 @@ class Metric:
 
 
 _STEPS: Final = "environment steps"
-_STATE: Final = Metric("state", "", "starting, training, draining or finished; of an ending worker also unknown")
+_STATE: Final = Metric("state", "", "training, draining or finished; of a worker also starting or unknown")
 _ADMISSION: Final = (
     Metric("descriptors", "", "open file descriptors, of a process that listens; half of the limit raises an alarm"),
     Metric(
@@ -151,10 +151,10 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("version", "", "parameter version of its actors"),
         Metric("event", "", "imitation events applied to its actors"),
         Metric("stale", "messages", "messages ignored because their parameters or event were not newer"),
-        Metric("missed", "messages", "parameter messages overtaken or lost"),
+        Metric("missed", "messages", "parameter messages lost on the way"),
         Metric("malformed", "messages", "unreadable messages, dropped"),
-        Metric("paused", "", "why it does not simulate, or empty"),
-        Metric("paused_seconds", "s", "time paused"),
+        Metric("paused", "", "why its actors are too old to simulate with, or empty"),
+        Metric("paused_seconds", "s", "time for which its actors were too old"),
         Metric("watchers", "", "number of watchers now"),
         Metric("shown", _STEPS, "steps published to watchers"),
         Metric("skipped", _STEPS, "steps simulated while somebody watched, but not published"),
@@ -164,7 +164,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("workers", "", "list of the workers that can evaluate"),
         Metric("events", "", "imitation events that the learner has applied"),
         Metric("next_episode", "episodes", "episode at which the next event is due; 0 if there is none"),
-        Metric("failures", "requests", "evaluation requests not answered in time"),
+        Metric("failures", "requests", "evaluation requests refused, answered wrongly or not in time"),
         Metric("malformed", "messages", "unreadable messages and tokens, dropped"),
         Metric("leads", "", "whether it holds the learner's lease"),
         Metric("rate", "", "blend factor vartheta of the newest event"),

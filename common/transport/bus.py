@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from common.errors import BusClosedError, BusError, EndpointError, ForkedProcessError
+from common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
 from common.transport.credentials import Credentials
 from common.transport.endpoint import Endpoint, Lane
 from common.transport.handshake import complaint, silence
@@ -113,12 +113,12 @@ class Subscription:
     """Samples on one key expression.
 
     Attributes:
-        missed: samples that were lost, or replaced before they were read.
+        missed: samples of a state that were lost on the way; 0 for other subscriptions, which cannot see that.
         wild: samples dropped because their key held a wildcard.
     """
 
-    def __init__(self, subscriber: Any, misses: Any = None) -> None:
-        self._subscriber = subscriber
+    def __init__(self, subscriber: Any, capacity: int, misses: Any = None) -> None:
+        self._subscriber, self._capacity = subscriber, capacity
         self._misses = misses
         self.missed = self.wild = 0
 
@@ -136,8 +136,10 @@ class Subscription:
         return Sample(str(sample.key_expr), sample.payload.to_bytes(), attachment, present)
 
     def drain(self) -> Iterator[Sample]:
-        """Yield the samples that have arrived."""
-        while (sample := self.poll()) is not None:
+        """Yield the samples that have arrived, at most as many as may wait: more may come faster than they are read."""
+        for _ in range(self._capacity):
+            if (sample := self.poll()) is None:
+                return
             yield sample
 
 
@@ -161,7 +163,7 @@ class Bus:
     Attributes:
         credentials: this process's certificate, or None without TLS.
 
-    Raises (every method):
+    Raises (every method but `close`):
         ForkedProcessError: in a process other than the one that opened it.
         BusClosedError: after `close`.
     """
@@ -206,6 +208,7 @@ class Bus:
             waiting: called between attempts; False gives up at once.
 
         Raises:
+            CancelledError: when `waiting` returned False.
             EndpointError: when nobody answers there in time, or, at once, when one side rejects the other's
                 certificate.
         """
@@ -216,7 +219,11 @@ class Bus:
             except zenoh.ZError as error:
                 if (reason := complaint(endpoint, lane)) is not None:
                     raise EndpointError(reason) from error
-                if time.monotonic() >= deadline or not waiting():
+                if not waiting():
+                    raise CancelledError(
+                        f"nothing has answered at {endpoint} before this process was ended."
+                    ) from error
+                if time.monotonic() >= deadline:
                     raise EndpointError(silence(endpoint, lane)) from error
                 time.sleep(0.2)
 
@@ -292,7 +299,7 @@ class Bus:
 
     def subscribe(self, key: str, capacity: int) -> Subscription:
         """Receive lossy puts; at most `capacity` wait, and a new one replaces the oldest."""
-        return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)))
+        return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)), capacity)
 
     def publish_state(self, key: str) -> Publisher:
         """Publish a state: late joiners get the latest value, and receivers notice gaps."""
@@ -308,7 +315,7 @@ class Bus:
         )
 
     def subscribe_state(self, key: str) -> Subscription:
-        """Receive a state: only the latest value waits; `missed` counts values that were lost or replaced unread."""
+        """Receive a state: only the latest value waits; `missed` counts values that were lost on the way."""
         subscriber = ext.declare_advanced_subscriber(
             self._open(),
             key,
@@ -316,7 +323,7 @@ class Bus:
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
-        return Subscription(subscriber, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
+        return Subscription(subscriber, 1, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
 
     def announce(self, key: str) -> Any:
         """Declare a liveliness token and return it; it lasts until the object or the session ends."""
@@ -325,7 +332,8 @@ class Bus:
     def watch(self, key: str, capacity: int) -> Subscription:
         """Receive liveliness changes, beginning with the tokens that already exist."""
         return Subscription(
-            self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True)
+            self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True),
+            capacity,
         )
 
     def living(self, key: str) -> list[str]:

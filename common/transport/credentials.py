@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from common.errors import CredentialsError
-from common.names import check_name
+from common.names import is_name
 
 ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
 """Roles that a certificate can name; only the first three listen."""
@@ -41,9 +41,9 @@ class Identity:
     def parse(cls, text: str) -> "Identity":
         """Return the identity in a common name; raise CredentialsError when the name holds none."""
         role, dot, name = text.partition(".")
-        if role not in ROLES or not dot:
+        if role not in ROLES or not dot or not is_name(name):
             raise CredentialsError(f"{text[:80]!r} is not a role and a name, such as rollout.worker-7.")
-        return cls(role, check_name(name, "name"))
+        return cls(role, name)
 
     def __str__(self) -> str:
         return f"{self.role}.{self.name}"
@@ -215,4 +215,7 @@ def read_members(path: Path) -> tuple[Identity, ...]:
         raise CredentialsError(f"{path} is not a list of common names.") from error
     if len(lines) > MAX_MEMBERS:
         raise CredentialsError(f"{path} names more than {MAX_MEMBERS} processes.")
-    return tuple(sorted({Identity.parse(line) for line in lines}))
+    try:
+        return tuple(sorted({Identity.parse(line) for line in lines}))
+    except CredentialsError as error:
+        raise CredentialsError(f"{path}: {error}") from error

@@ -53,7 +53,7 @@ class Diagnostics(NamedTuple):
     """What one update measured; None where the algorithm has no such thing. Norms are those before any clip.
 
     Attributes:
-        td_error: Q - Y of the (first) critics before their step, [agents, B].
+        td_error: Q - Y of the (first) critics before their step, [agents, B]; Q_P - Y with the mixture loss.
         objective: what the actors maximise, before their step, [agents, B].
         target: Y [agents, B].
         q_value: Q of the batch's own actions before the step [agents, B]: Q_P, or the (first) critics' values.

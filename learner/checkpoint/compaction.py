@@ -25,7 +25,7 @@ class HistoryCompaction:
         self._marks: deque[Marks] = deque(maxlen=kept + 2)
 
     def on_checkpoint(self, ledger: LedgerSnapshot, *, failed: bool) -> None:
-        """Sum up the records before all kept checkpoints, if the history is long.
+        """Sum up the records before all kept checkpoints, if the history is long; call it once for each checkpoint.
 
         Args:
             ledger: the ledger of the checkpoint that is being written.

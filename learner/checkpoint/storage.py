@@ -70,7 +70,7 @@ class RunStorage:
         if (now := _identity(self._directory)) is not None and now != self._identity:
             raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
-    def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
+    def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> bool:
         """Start to write a checkpoint of this instant; skip it, and count that, if the previous one is not yet written.
 
         Training continues meanwhile, and also after a failure (see `alarm`); the previous checkpoint then stays.
@@ -81,14 +81,17 @@ class RunStorage:
             elapsed: seconds that the run has taken so far.
             epoch: the learner's fencing epoch.
             wait: return only when it is on disk or has failed, and never skip it.
+
+        Returns:
+            Whether a checkpoint of this instant was begun; False without a run directory.
         """
         if self._writer is None:
-            return
+            return False
         if wait:
             self._writer.join()
         elif self._writer.busy:
             self.skipped += 1
-            return
+            return False
         started = time.perf_counter()
         tensors, state = trainer.snapshot()
         manifest: dict[str, Any] = {
@@ -103,6 +106,7 @@ class RunStorage:
         self.longest_pause = max(self.longest_pause, self.pause)
         if wait:
             self._writer.join()
+        return True
 
     def close(self) -> None:
         """Wait until no checkpoint is being written."""
@@ -129,7 +133,7 @@ class RunStorage:
 
         Raises:
             RunDirError: when the checkpoint belongs to another configuration.
-            CheckpointError: when there are checkpoints and all are damaged.
+            CheckpointError: when there are checkpoints and all are damaged, or the newest whole one does not fit.
         """
         if self._directory is None or not (self._directory / CHECKPOINTS).is_dir():
             return 0.0, 0

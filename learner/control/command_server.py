@@ -53,6 +53,7 @@ class CommandServer:
             if verb in self._verbs:
                 self._verbs[verb](incoming, sender)
             else:
+                self.malformed += 1
                 incoming.refuse(f"the learner has no command {verb!r}.")
 
     def _send_configuration(self, incoming: Incoming, sender: str) -> None:

@@ -73,6 +73,10 @@ class ChunkRules:
         Raises:
             VersionError, SchemaError: see `common.protocol.chunk_messages.from_message`.
         """
+        # Before an object is made for each of its episodes, of which a small chunk may claim millions.
+        steps = np.count_nonzero(message.flag & TRANSITION) if message.flag.dtype == np.uint8 else 0
+        if steps != self.steps:
+            raise SchemaError(f"the chunk holds {steps} steps, but each chunk of this run holds {self.steps}.")
         chunk = from_message(
             message,
             team,
@@ -107,7 +111,7 @@ class EpisodeTracker:
     """Follows the running episodes of each worker's environments, from chunk to chunk.
 
     Once an episode's end has been seen, the length of the environment's next episode is known. Before that, after a gap
-    or a refused chunk, and for a new worker, it is unknown, and only the rules' bounds are checked.
+    or a chunk refused for its content, and for a new worker, it is unknown, and only the rules' bounds are checked.
     """
 
     def __init__(self, rules: ChunkRules) -> None:

@@ -9,6 +9,7 @@ from common.protocol.messages import ChunkAck
 from common.transitions import EpisodeSummary
 from learner.intake.arrival import Arrival
 from learner.intake.ledger import LedgerSnapshot
+from learner.intake.limits import DRAINED_CHUNKS
 from learner.intake.receiver import Receiver
 from learner.trainer import Trainer
 
@@ -60,11 +61,19 @@ class ExperienceFeed:
         return arrival
 
     def drain(self, between: Callable[[], None]) -> None:
-        """Absorb what workers still deliver until they are silent; call `between` after each wait."""
+        """Absorb what workers still deliver, DRAINED_CHUNKS at most, until they are silent.
+
+        Args:
+            between: called after each wait.
+        """
         started = last = time.monotonic()
+        taken = 0
         while (now := time.monotonic()) - started < DRAIN_SECONDS and now - last < QUIET_SECONDS:
+            if taken >= DRAINED_CHUNKS:
+                return
             if self.absorb_next(0.02) is not None:
                 last = time.monotonic()
+                taken += 1
             between()
 
     def close(self) -> None:

@@ -205,7 +205,10 @@ class Ledger:
         return self.accounts(0)[0]
 
     def unexplained(self) -> int:
-        """Return how many steps the accounts leave unexplained; errors of opposite sign do not cancel."""
+        """Return how many steps the accounts leave unexplained.
+
+        Errors of opposite sign do not cancel, but for those of starts that have ended, which share one account.
+        """
         closed, workers = self.now()
         return sum(abs(part.unexplained) for part in (closed, *workers.values()))
 

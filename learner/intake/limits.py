@@ -7,6 +7,8 @@ from common.config import RunConfig
 
 ITERATION_CHUNKS: Final = 64
 """Least queue of a learner that learns on policy; it always holds the chunks of an iteration."""
+DRAINED_CHUNKS: Final = 1024
+"""Most chunks that a draining learner takes in; with those of two iterations they bound a checkpoint's size."""
 
 
 @dataclass(frozen=True)

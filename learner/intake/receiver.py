@@ -56,9 +56,10 @@ class Receiver:
     Attributes:
         arrivals: the queue.
         ledger: deduplication and the account of every worker.
-        malformed: requests that belong to no worker.
+        malformed: requests that belong to no worker, or whose envelope or number of chunks is wrong.
         replaced: requests from starts that a newer start of the same worker has replaced.
         uncounted_episodes: finished episodes that did not count, because this learner has not received all their steps.
+        repeats: whether the worker of a lockstep run has been restarted, and would repeat its first episodes.
         peer_penalties: counts of invalid requests by worker.
         throttle: requests of blocked workers; the receiver's owner must call its `release` regularly.
         server: where chunks arrive.
@@ -91,6 +92,7 @@ class Receiver:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(limits.chunks)
         self.server, self.ledger = server, ledger
         self.malformed = self.replaced = self.uncounted_episodes = 0
+        self.repeats = False
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
         self.required_version = 0
         self.gate = threading.Lock()
@@ -223,6 +225,9 @@ class Receiver:
         known = self.ledger.workers.get(sender.name)
         if self._lockstep and known is None and any(worker.accepted for worker in self.ledger.workers.values()):
             raise ProtocolError("a lockstep run has exactly one worker.")
+        if self._lockstep and known is not None and known.accepted and sender.incarnation > known.incarnation:
+            self.repeats = True
+            raise ProtocolError("a lockstep run ends with its worker, which would repeat its first episodes.")
         if known is None and len(self.ledger.workers) >= MOST_WORKERS:
             raise ProtocolError(f"the learner already has accounts of {MOST_WORKERS} workers.")
         return sender
@@ -288,6 +293,7 @@ class Receiver:
     def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
         """Ask for an unreadable frame again without using up its number; refuse it after DAMAGED_TRIES.
 
+        A whole frame whose fields are wrong is refused at once.
         Only the expected number is ever used up here: the worker may still hold the chunks before a later one.
         """
         self.ledger.note_damaged(sender)

@@ -1,7 +1,7 @@
 """What the updates of the newest iteration measured, by type of agent.
 
     actor_loss           PPO's surrogate loss with the entropy bonus
-    value_loss           sum over the type's value functions of mean((V - R)^2)
+    value_loss           mean((V - R)^2) over agents; with an ensemble, plus the sum of that over its members
     entropy              mean entropy of the policies, nats
     kl                   KL divergence from the policy that `objective` names to the actors
     clipped_share        share of samples whose ratio was clipped

@@ -5,7 +5,7 @@ L_actor = -mean(min(ratio A, clip(ratio, 1 - c, 1 + c) A)) - w_H mean(H(pi(. | o
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +18,9 @@ from learner.on_policy.networks import Stack
 from learner.on_policy.preferences import FOLLOW, prefer
 from learner.on_policy.recurrent import make_stack
 from learner.on_policy.sequences import Sequences
+
+MOST_LOG_RATIO: Final = 20.0
+"""Largest logarithm of the ratio of two policies; exp of 89 is more than a 32-bit number holds."""
 
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
@@ -90,7 +93,8 @@ class Policies(nn.Module):
         """
         group = self._team.groups[kind]
         policy = evaluate(group, observation, self.stacks[kind](observation, sequences), action)
-        log_ratio = policy.log_probability - log_probability
+        # Beyond this the ratio overflows, and one sample would make every weight a NaN; its gradient is clipped anyway.
+        log_ratio = (policy.log_probability - log_probability).clamp(max=MOST_LOG_RATIO)
         ratio, clip = log_ratio.exp(), self._config.clip
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
         entropy = policy.entropy.mean()

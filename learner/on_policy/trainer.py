@@ -28,6 +28,7 @@ from learner.checkpoint.trainer_state import (
     restored_random,
 )
 from learner.data.tensor_snapshot import Frozen
+from learner.intake.limits import DRAINED_CHUNKS
 from learner.on_policy.experience import Experience
 from learner.on_policy.updates import Updates, require_one_count
 from learner.trainer import Trainer, flushed_denormals
@@ -39,8 +40,6 @@ ITERATION, FOLLOWING = "iteration", "following"
 COUNTS = ("iterations", "iteration_steps", "iteration_lag", "following_steps", "following_lag", "epochs_left")
 ROW_BYTES = 32
 """Bytes of a row besides its observation, action, reward and log-probability, an upper bound."""
-DRAINED_CHUNKS = 1024
-"""Chunks beyond an iteration that a draining learner may take in, for the bound of a checkpoint's size."""
 
 
 class OnPolicyTrainer(Trainer):
@@ -86,6 +85,11 @@ class OnPolicyTrainer(Trainer):
         if self.updates_due():
             return self.iterations + 1, self._algorithm.iteration_steps - self.following.steps
         return self.iterations, self._algorithm.iteration_steps - self.experience.steps
+
+    @property
+    def between_iterations(self) -> bool:
+        """Whether no iteration's updates are halfway done; their ratios are against the policy at its start."""
+        return not self._epochs_left
 
     def updates_due(self) -> int:
         """Return the updates left in the running iteration; 0 while it still collects."""

@@ -102,5 +102,10 @@ def _converted(numbers: Float32, space: spaces.Space[Any]) -> int | NDArray[Any]
     if isinstance(space, spaces.Discrete):
         return int(numbers[0]) + int(space.start)
     # Starts may be too large for 32-bit floats, so they are added to whole numbers.
-    plain: NDArray[Any] = numbers.reshape(space.shape or ()).astype(space.dtype)
-    return plain + space.start if isinstance(space, spaces.MultiDiscrete) else plain
+    shaped = numbers.reshape(space.shape or ())
+    whole = np.issubdtype(np.dtype(space.dtype), np.integer)
+    plain: NDArray[Any] = (np.rint(shaped) if whole else shaped).astype(space.dtype)
+    if isinstance(space, spaces.MultiDiscrete):
+        return plain + space.start
+    # A bound may lie within the 32-bit number that stands for it.
+    return np.clip(plain, space.low, space.high) if isinstance(space, spaces.Box) else plain

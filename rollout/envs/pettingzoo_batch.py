@@ -115,14 +115,17 @@ class PettingZooBatch:
         environment = self._environments[index]
         present = set(environment.agents)
         actions = self._actions.by_agent(row, present)
-        observations, rewards, terminations, _, infos = environment.step(actions)
+        observations, rewards, terminations, truncations, infos = environment.step(actions)
         self.time[index] += 1
-        self.reward[index] = [float(rewards.get(name, 0.0)) for name in self.names]
+        # Some environments go on to name agents that have left.
+        self.reward[index] = [float(rewards.get(name, 0.0)) if name in present else 0.0 for name in self.names]
         if not np.isfinite(self.reward[index]).all():
             raise SimulationError(f"the environment's reward is not finite: {rewards}.")
         self._returns[index] += self.reward[index]
-        self._observe(index, observations, infos)
-        over = not environment.agents
+        here = present | set(environment.agents)
+        self._observe(index, {name: seen for name, seen in observations.items() if name in here}, infos)
+        ended = all(terminations.get(name, False) or truncations.get(name, False) for name in here)
+        over = not environment.agents or ended
         self.terminated[index] = over and all(terminations.get(name, True) for name in present)
         self.ended[index] = over or self.time[index] >= self._limit
 

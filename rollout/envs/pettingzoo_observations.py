@@ -69,7 +69,10 @@ class AgentView:
         Raises:
             SimulationError: observation or mask do not fit the agent's spaces, or are not finite.
         """
-        flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
+        try:
+            flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
+        except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            raise SimulationError(f"the observation of agent {name} does not fit its space: {error!r}.") from error
         if self.masked:
             given = (seen if self.source == "observation" else info).get(MASK)
             flat = np.concatenate([flat, self._legal(name, given)])

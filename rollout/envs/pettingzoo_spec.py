@@ -1,7 +1,8 @@
 """A PettingZoo parallel environment by its name, and its agents as a team of types."""
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -21,6 +22,10 @@ CONTINUOUS: Final = "continuous_actions"
 
 NAMELESS: Final = "agent"
 """The type of agents whose names are only numbers."""
+RESERVED: Final = ("mean", "farm", "reward", "steps")
+"""What results hold beside the types' own values."""
+NAMED: Final = 5
+"""Agents that a refusal names."""
 
 Parallel: TypeAlias = ParallelEnv[Any, Any, Any]
 
@@ -53,7 +58,18 @@ def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
             environment whose actions can be trained.
     """
     factory, keywords = _factory(config.name), config.keywords()
-    environment = _made(config.name, factory, keywords)
+    with ExitStack() as rejected:
+        environment = _made(config.name, factory, keywords)
+        rejected.callback(environment.close)
+        found = _suitable(config, factory, environment, boxes=boxes)
+        if found is environment:
+            rejected.pop_all()
+        return found
+
+
+def _suitable(config: EnvConfig, factory: Callable[..., Any], environment: Parallel, *, boxes: bool) -> Parallel:
+    """Return the environment, or another one with actions in boxes; raise ConfigError if neither can be trained."""
+    keywords = config.keywords()
     if _all_actions(environment, is_bounded_box) or (not boxes and _all_actions(environment, _is_trainable)):
         return environment
     if CONTINUOUS not in keywords:
@@ -63,6 +79,8 @@ def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
             continuous = environment
         if _all_actions(continuous, is_bounded_box):
             return continuous
+        if continuous is not environment:
+            continuous.close()
     if _all_actions(environment, _is_trainable):
         return environment
     raise ConfigError(
@@ -86,6 +104,9 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
     views = _views(environment)
     shapes = {name: _shape(environment.action_space(name), view) for name, view in views.items()}
     plain = {name: _type_of(str(name), prefixes) for name in shapes}
+    for prefix in prefixes:
+        if not any(str(name).startswith(prefix) for name in shapes):
+            raise ConfigError(f"env.types names the prefix {prefix!r}, but the agents are {_some(shapes)}.")
     kinds: dict[str, list[Any]] = {}
     for name, kind in plain.items():
         alike = {shapes[other] for other, same in plain.items() if same == kind}
@@ -96,9 +117,17 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
                 f"agent {str(members[0])[:80]!r} is of type {kind[:80]!r}; a type's name is 1 to 63 letters, digits, "
                 "'.', '_' or '-'; name another type with env.types."
             )
+        if kind in RESERVED:
+            raise ConfigError(f"no type can be called {kind!r}, as results call something else; choose with env.types.")
     names = [name for members in kinds.values() for name in members]
     team = TeamSpec(tuple(shapes[members[0]].group(kind, len(members)) for kind, members in kinds.items()))
     return Agents(team, {name: views[name] for name in names}, {name: environment.action_space(name) for name in names})
+
+
+def _some(names: Iterable[Any]) -> str:
+    """Return the first names, and how many more there are."""
+    texts = [str(name)[:80] for name in names]
+    return ", ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")
 
 
 class _Shape(NamedTuple):
@@ -163,7 +192,7 @@ def _made(name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -
         raise ConfigError(f"{name} cannot be made with {dict(keywords)}: {type(error).__name__}: {error}.") from None
     if not isinstance(environment, ParallelEnv):
         raise ConfigError(f"{name} is a {type(environment).__name__}, not a PettingZoo ParallelEnv.")
-    if not environment.possible_agents:
+    if not getattr(environment, "possible_agents", None):  # the base class only announces it
         raise ConfigError(f"{name} does not name its possible agents.")
     return environment
 

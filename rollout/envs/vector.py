@@ -90,9 +90,22 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         self._episodes = [(-1, -1)] * num_envs
         self._due: Mask = np.zeros(num_envs, np.bool_)
         self._make_spaces(self.batch.team)
-        self._views = _by_type(self.batch.team, self.batch.observation)
         self._actions: Float32 = np.zeros((num_envs, self.batch.team.environment_action_size), np.float32)
+        self._look()
+
+    def _look(self) -> None:
+        """Make the views of the batch that every step returns."""
+        self._views = _by_type(self.batch.team, self.batch.observation)
         self._infos = {name: _read_only(getattr(self.batch, name)) for name in INFO_ARRAYS}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave views out: a copy of one would show the original's numbers of this moment for ever."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_views", "_infos")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take a copy's state, and look at its own batch."""
+        self.__dict__ |= state
+        self._look()
 
     def reset(
         self,
@@ -113,6 +126,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
 
         Raises:
             SimulationError: a seed, an option or the mask is malformed.
+            ConfigError: the sensors do not fit into the field.
         """
         seeds = self._seeds(seed)
         chosen = dict(options or {})
@@ -140,6 +154,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         Raises:
             SimulationError: an environment was never reset or its episode has ended, or the actions have the wrong
                 shape or are not finite.
+            ConfigError: an environment begins anew, and the sensors do not fit into the field.
         """
         row = self._row(actions)
         if self._due.any():

@@ -59,7 +59,7 @@ class FarmBatch:
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] always False (A5).
         position: [E, n, 2] m; a UAV that is gone stays where it failed.
-        gone: [E, n] whether a UAV has failed (`farm.failures`).
+        gone: [E, n] whether a UAV has failed (`farm.failures`), is missing or has no charge left.
         aoi: [E, S] age of information.
         vdf: [E, n_px, n_py] visual data freshness counters.
         assignment: [E, n_m + n_d] relay (0 .. n_c - 1) of each monitoring, then of each data collection UAV; -1 if
@@ -139,10 +139,18 @@ class FarmBatch:
         self.patch_place: NDArray[np.float64] = self._state.patch_place
         self.patch_time: NDArray[np.int32] = self._state.patch_time
         self.patch_known: NDArray[np.bool_] = self._state.patch_known
-        self.plot_growth: NDArray[np.int32] = self._state.plot_cycle[:, 2]
-        self.sensor_growth: NDArray[np.int32] = self._state.sensor_cycle[:, 2]
         self.stressed: NDArray[np.float64] = self._state.stressed
         self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
+
+    @property
+    def plot_growth(self) -> NDArray[np.int32]:
+        """[E, n_px, n_py] how many times as often VDF rises because of areas; [E, 0, 0] if there is no stress."""
+        return self._state.plot_cycle[:, 2]
+
+    @property
+    def sensor_growth(self) -> NDArray[np.int32]:
+        """[E, S] how many times as often AoI rises because of areas; [E, 0] if there is no stress."""
+        return self._state.sensor_cycle[:, 2]
 
     @property
     def wind(self) -> NDArray[np.float64]:

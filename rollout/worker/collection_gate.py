@@ -37,6 +37,10 @@ class CollectionGate:
     def actors(self) -> TeamActors | None:
         """Return the actors to collect the next chunk with, or None to wait."""
         store, sender = self._learner.store, self._sender
+        self.pause_reason = ""
+        if self._learner.epoch != self._epoch:
+            # Versions of another learner; this one may have begun anew below them.
+            self._epoch, sender.required_version = self._learner.epoch, 0
         if store.actors is None or self._learner.state not in COLLECTING:
             return None
         if self._lockstep:
@@ -48,9 +52,6 @@ class CollectionGate:
     def _awaits_learner(self) -> bool:
         """Return whether the learner lets nothing more be under way, or asks for newer parameters first."""
         learner, sender = self._learner, self._sender
-        if learner.epoch != self._epoch:
-            # Versions of another learner; this one may have begun anew below them.
-            self._epoch, sender.required_version = learner.epoch, 0
         window = learner.window if learner.heard_at > sender.answered_at else sender.window
         return window <= sender.in_flight or learner.store.version < sender.required_version
 

@@ -2,6 +2,9 @@
 
 import time
 
+from common.config import RunConfig
+from common.config.files import method_of
+from common.config.presets import read_saved
 from common.errors import ProtocolError, UsageError
 from common.policy_store import PolicyStore
 from common.process import StopSignal, fetch_configuration, log
@@ -24,13 +27,14 @@ class LearnerLink:
     contain it. `PolicyStore` does both.
 
     A higher epoch in the progress means that a new learner has taken over. The worker follows it if its configuration
-    is the same. It follows a lower epoch only if the higher one has gone silent, see `EpochFence`.
+    is the same, but for what a resumed run may change (`common.config.files.method_of`). It follows a lower epoch only
+    if the higher one has gone silent, see `EpochFence`.
 
     Args:
         control: the control lane.
         run: the run's name.
         worker: the worker's name.
-        toml: the run's configuration as the learner sent it.
+        config: the run's configuration.
         team: layout of the actors.
         stop: ends the wait for a new learner's configuration.
 
@@ -45,8 +49,11 @@ class LearnerLink:
         malformed: messages that were dropped.
     """
 
-    def __init__(self, control: Bus, run: str, worker: str, toml: str, team: TeamSpec, stop: StopSignal) -> None:
-        self._control, self._run, self._worker, self._toml, self._stop = control, run, worker, toml, stop
+    def __init__(
+        self, control: Bus, run: str, worker: str, config: RunConfig, team: TeamSpec, stop: StopSignal
+    ) -> None:
+        self._control, self._run, self._worker, self._stop = control, run, worker, stop
+        self._method = method_of(config)
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(run))
@@ -100,7 +107,7 @@ class LearnerLink:
             if answer is None and self._stop:
                 self.state = "unknown"
                 return
-            if answer is not None and answer.toml != self._toml:
+            if answer is not None and method_of(read_saved(answer.toml)) != self._method:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
         self.window = message.window

@@ -200,10 +200,11 @@ class Sender:
         self.replaced = ack is not None and "replaced" in ack.verdicts
         if ack is None:
             return False
-        self.window, self.answered_at = ack.window, time.monotonic()
         settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason, ack.required_version)
+        # Last, because with it the worker may collect, and then the version that is asked for must be known.
+        self.window, self.answered_at = ack.window, time.monotonic()
         return len(settled) >= len(batch)
 
     def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:

@@ -123,7 +123,7 @@ class Worker:
         patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
         spool = config.rollout.spool_chunks
         self._sender = Sender(bulk, run, name, start, team, spool, patience, self._history)
-        self._learner = LearnerLink(control, run, name, answer.toml, team, stop)
+        self._learner = LearnerLink(control, run, name, config, team, stop)
         self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
         self._evaluations = EvaluationService(
             control, config, run, name, self._learner.store, self._late_for_evaluations
@@ -212,10 +212,12 @@ class Worker:
         return self._config.exploration_at(self._learner.store.progress, self._learner.store.environment_steps)
 
     def _wait(self) -> None:
+        began = time.monotonic()
         time.sleep(IDLE_SECONDS)
-        self._times.waiting += IDLE_SECONDS
+        waited = time.monotonic() - began
+        self._times.waiting += waited
         if self._gate.pause_reason:
-            self._times.paused += IDLE_SECONDS
+            self._times.paused += waited
 
     def _report_if_due(self) -> None:
         if time.monotonic() - self._times.reported >= REPORT_SECONDS:

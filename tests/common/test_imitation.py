@@ -1,7 +1,11 @@
 """The imitation schedule fires when reading A1 says, in both its forms."""
 
+import pytest
+
 from common.config import EliteConfig
-from common.imitation import ImitationSchedule
+from common.errors import SchemaError
+from common.imitation import ImitationEvent, ImitationSchedule
+from common.team import GroupSpec, TeamSpec
 
 
 def episodes(schedule: ImitationSchedule, last: int) -> list[int]:
@@ -52,3 +56,12 @@ def test_an_event_that_was_missed_is_due_later() -> None:
     assert not schedule.is_due(0, 8)
     assert schedule.is_due(0, 16)
     assert not schedule.is_due(1, 16)
+
+
+@pytest.mark.parametrize("steps", [-1, 2**48 + 1, 2**62])
+def test_an_event_that_no_checkpoint_could_hold_is_refused(steps: int) -> None:
+    """The steps of evaluations are added up, and the sum is saved."""
+    team = TeamSpec((GroupSpec("one", 2, 3, 2),))
+    ImitationEvent(1, 1, 10, 0.1, (0,), ((0.5, 0.5),), 2**48).check(team)
+    with pytest.raises(SchemaError, match="evaluation"):
+        ImitationEvent(1, 1, 10, 0.1, (0,), ((0.5, 0.5),), steps).check(team)

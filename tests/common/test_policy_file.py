@@ -42,6 +42,20 @@ def test_a_policy_comes_back_bit_equal_with_its_provenance(path, actors):
     assert metadata == PROVENANCE
 
 
+@pytest.mark.parametrize(("types", "fits"), [(1000, True), (20_000, False)])
+def test_what_is_saved_can_be_loaded(tmp_path, types, fits):
+    """A policy of many types comes back; one whose team's description is too long to load is not written."""
+    team = TeamSpec(tuple(GroupSpec(f"agent_{index}", 1, 1, 1) for index in range(types)))
+    actors, path = TeamActors.initial(team, hidden=1, seed=0, per_type=False), tmp_path / "policy.safetensors"
+    if fits:
+        save_policy(path, actors, {})
+        assert load_policy(path)[0].digest() == actors.digest()
+        return
+    with pytest.raises(PolicyError, match="description of the policy's team takes more than 1024 KiB"):
+        save_policy(path, actors, {})
+    assert not path.exists()
+
+
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("head", ["deterministic", "gaussian"])
 def test_choices_masks_and_shared_actors_come_back(tmp_path, head, shared):

@@ -2,12 +2,14 @@
 
 import datetime
 import io
+import os
+import signal
 import sys
 from pathlib import Path
 
 import pytest
 
-from common.process import LARGEST, SEPARATOR, Presence, denial, log
+from common.process import LARGEST, SEPARATOR, Presence, StopSignal, denial, log
 from common.protocol import keys
 from common.protocol.messages import MetricMessage
 from common.transport.bus import Bus
@@ -95,3 +97,26 @@ def test_a_certificate_that_ends_is_an_alarm(seconds, words, capsys):
     assert [words in text for text in first["alarms"][1:]] == [True] * bool(words)
     assert len(second.get("alarms", [])) == bool(words)
     assert capsys.readouterr().err.count("the certificate of rollout.w") == bool(words)
+
+
+def test_a_signal_that_interrupts_a_wait_does_not_wait_for_it():
+    """The handler runs in the thread that may hold the event's lock, and must not want it."""
+    stop, before = StopSignal(), (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
+    stop.install()
+    try:
+        with stop.event._cond:
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert not stop
+        until(lambda: stop, "the flag")
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(number, handler)
+
+
+def test_no_standard_error_is_like_a_full_one(monkeypatch, capsys):
+    """A process whose standard error was closed at its start goes on."""
+    monkeypatch.setattr(sys, "stderr", None)
+    log("unheard")
+    monkeypatch.undo()
+    log("heard")
+    assert "1 lines before this one could not be written) heard" in capsys.readouterr().err

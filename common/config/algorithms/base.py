@@ -34,7 +34,8 @@ class AlgorithmConfig:
     potential_discount: float = 0.995
     """Discount gamma_s of the potential that shapes the relays' rewards; 0 for no shaping (ours)."""
     gradient_clip: float = 0.0
-    """Largest norm of one network's gradient; 0 for no limit (ours)."""
+    """Largest norm of one network's gradient, on policy of that of a type's actors and of its values; 0 for no limit
+    (ours)."""
     initialisation: Literal["type", "independent"] = "type"
     """One random initialisation for all agents of a type, or one for each agent (A4)."""
 

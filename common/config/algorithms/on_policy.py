@@ -25,7 +25,8 @@ class OnPolicyConfig(AlgorithmConfig):
     potential_discount: float = 1.0
     """Discount gamma_s of the potential that shapes the relays' rewards; 0 for no shaping (ours)."""
     gradient_clip: float = 0.5
-    """Largest norm of the gradient of a type's actors, and of its value functions; 0 for no limit."""
+    """Largest norm of the gradient of a type's actors, and of its value functions; off policy of one network; 0 for no
+    limit."""
     iteration_steps: int = 16_000
     """Environment steps of an iteration; all updates of an iteration learn from the same steps."""
     epochs: int = 3
@@ -33,8 +34,8 @@ class OnPolicyConfig(AlgorithmConfig):
     minibatch_steps: int = 1000
     """Environment steps in a minibatch; each holds a sample of every agent."""
     value_steps: int = 0
-    """Environment steps at the start from which value functions alone learn, so that they know the fresh policy before
-    it changes (ours)."""
+    """Environment steps at the start from which value functions alone learn, in whole iterations, so that they know the
+    fresh policy before it changes (ours)."""
     start_policy: str = ""
     """Policy that actors begin as: trained, trained:long and so on, or a file. Types that see or choose something else
     begin fresh, as all do without it. With type=policy, separated by commas, only these types do, and they may see more

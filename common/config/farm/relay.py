@@ -1,6 +1,7 @@
 """The relays: their service quality, and whom each one serves.
 
-A docstring that ends in "(ours)" marks a constant that the paper does not give; all others are from its Tables 1 and 2.
+A docstring that ends in "(ours)" marks a constant that the paper does not give; (W3) and the like one that our
+reading of it settles; all others are from its Tables 1 and 2.
 """
 
 import math

@@ -5,7 +5,7 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from common.config.checks import not_negative, positive, within
 from common.config.farm.sites import MAX_SENSORS, Sites, check_sites
@@ -13,6 +13,8 @@ from common.errors import ConfigError
 
 Density = Literal["irregular", "uniform", "clustered", "banded", "patchy", "mixed"]
 """How the sensors are distributed over the field."""
+MOST_CYCLE_STEPS: Final = 2**30
+"""Most steps of a counter's cycle."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +98,11 @@ class WorldConfig:
         within(1, 1_000_000, steps=self.steps, aoi_max=self.aoi_max, vdf_max=self.vdf_max)
         if not self.sensor_cycles:
             raise ConfigError("sensor_cycles must name at least one sensor type.")
+        if not math.isfinite(self.safety_distance):
+            raise ConfigError(f"UAVs fly too far in a step: {self.speed_x_max} m/s and {self.speed_y_max} m/s.")
         for cycle in (*self.sensor_cycles, self.vdf_cycle):
             within(1, 1_000_000, cycle=cycle)
+            within(0, MOST_CYCLE_STEPS, **{f"steps of a cycle of {cycle} s": cycle / self.step_seconds})
             steps = cycle / self.step_seconds
             if abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
                 raise ConfigError(f"a cycle of {cycle} s is not a whole number of steps of {self.step_seconds} s.")

@@ -53,7 +53,7 @@ class ZoneConfig:
         """Refuse zones that leave too little of the field.
 
         Raises:
-            ConfigError: half of the field or more may lie inside zones.
+            ConfigError: more than half of the field may lie inside zones.
         """
         if not self.some:
             return

@@ -112,8 +112,7 @@ REFUSED = [
     (f"[elite]\nrate = 1{'0' * 400}", "elite.rate is a number that is too large."),
     (
         "[farm.world]\nstep_seconds = 5e-324",
-        "in [farm.world], a number is too small or too large for the computation: cannot convert float infinity to "
-        "integer.",
+        "in [farm.world], steps of a cycle of 40 s must be between 0 and 1073741824, not inf.",
     ),
     (
         "[replay]\ncapacity = 256",

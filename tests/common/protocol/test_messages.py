@@ -168,3 +168,9 @@ def test_a_long_header_is_refused_before_it_is_unpacked(kind, monkeypatch):
     assert (kind in (messages.ConfigurationMessage, messages.WatchTerms)) == (not data)
     with pytest.raises(FrameError):
         kind.decode(data)
+
+
+def test_an_imitation_event_holds_the_scores_of_a_large_team():
+    """Its header grows with the agents, and is still read."""
+    message = ImitationMessage(9, 1, 2, 10, 0.1, (0,), ((0.5,) * 20_000,), 500)
+    assert ImitationMessage.decode(message.encode()) == message

@@ -4,12 +4,14 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import zenoh
 
-from common.errors import BusClosedError, BusError, EndpointError
-from common.transport.bus import Bus, Incoming, Sample, Server
+from common.errors import BusClosedError, BusError, CancelledError, EndpointError
+from common.transport.bus import Bus, Incoming, Sample, Server, Subscription
 from common.transport.endpoint import Endpoint, free_endpoint
 
 SECONDS = 10.0
@@ -201,3 +203,18 @@ def test_listening_beyond_this_machine_needs_consent() -> None:
         Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=False, advice="listen elsewhere")
     for private in ("tcp/127.0.0.1:1", "tcp/localhost:1", "tcp/[::1]:1"):
         Endpoint.parse(private).require_private(insecure=False)
+
+
+def test_a_flood_does_not_hold_its_reader():
+    """As many samples are read at once as may wait, however many come meanwhile."""
+    sample = SimpleNamespace(
+        key_expr="a/b", attachment=None, kind=zenoh.SampleKind.PUT, payload=SimpleNamespace(to_bytes=lambda: b"x")
+    )
+    endless = SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: sample))
+    assert len(list(Subscription(endless, 5).drain())) == 5
+
+
+def test_who_is_ended_while_it_waits_for_a_listener_is_not_mistaken():
+    """Nobody listens, and the process is asked to end."""
+    with pytest.raises(CancelledError, match="before this process was ended"):
+        Bus.connect(free_endpoint(), "control", 600.0, waiting=lambda: False)

@@ -3,6 +3,7 @@
 import random
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from learner.checkpoint import files
 from learner.checkpoint.storage import CHECKPOINTS, RunStorage
 from learner.intake.ledger import Ledger
 from learner.off_policy_trainer import OffPolicyTrainer
+from learner.reporting.phase_times import PhaseTimes
+from learner.service import Learner
 from tests.learner.algorithms.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -143,10 +146,10 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
     trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     play(trainer, ledger, chunks, 0, 40)
     tensors, plain = trainer.state()
-    storage.save(trainer, ledger, 0.0, 1)
+    assert storage.save(trainer, ledger, 0.0, 1)
     play(trainer, ledger, chunks, 40, 90)
     assert storage.statistics()["checkpoints"] == 0
-    storage.save(trainer, ledger, 0.0, 1)
+    assert not storage.save(trainer, ledger, 0.0, 1)
     assert storage.skipped == 1
     gate.set()
     storage.close()
@@ -156,6 +159,20 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
     assert not torch.equal(trainer.replay.reward, tensors["replay.reward"])
     assert storage.statistics()["checkpoints"] == 1
     assert storage.statistics()["checkpoint_pause_ms"] > 0
+
+
+def test_a_skipped_checkpoint_is_no_mark_in_the_history():
+    """The records before a checkpoint that was never begun may still be needed by a resume."""
+    begun, marks = iter([True, False, True]), []
+    learner = object.__new__(Learner)
+    learner._times, learner._reporter = PhaseTimes(), SimpleNamespace(elapsed=0.0)
+    learner.trainer, learner._epoch, learner._feed = None, 1, SimpleNamespace(ledger="ledger")
+    learner._storage = SimpleNamespace(save=lambda *_, wait: next(begun), alarm="")
+    learner._compaction = SimpleNamespace(on_checkpoint=lambda ledger, failed: marks.append((ledger, failed)))
+    learner._schedule = SimpleNamespace(checkpoint_timer=SimpleNamespace(restart=lambda now: None))
+    for _ in range(3):
+        learner._checkpoint()
+    assert marks == [("ledger", False)] * 2
 
 
 def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):

@@ -97,6 +97,21 @@ def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
         shut(receiver, door)
 
 
+def test_a_lockstep_run_ends_with_its_worker():
+    """One that was restarted would repeat its first episodes; the learner ends, and takes nothing of it."""
+    door = Door()
+    bounds = IntakeLimits(16, None)
+    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    try:
+        door.push(Sending("0", 1).parcel([1]))
+        assert until(lambda: receiver.next_arrival(0.05), "a chunk").sender.name == "0"
+        assert not receiver.repeats
+        assert "would repeat its first episodes" in door.pass_on(parcel("0", 2, 1)).refused
+        assert receiver.repeats
+    finally:
+        shut(receiver, door)
+
+
 def test_there_are_accounts_for_so_many_workers(monkeypatch):
     """Names without end are refused before they take memory, and stand in no checkpoint."""
     monkeypatch.setattr("learner.intake.receiver.MOST_WORKERS", 2)

@@ -160,3 +160,27 @@ def test_steps_of_an_older_policy_are_weighted():
     plain.absorb(chunk(behaviour, 0, ENDS))
     plain.train(1)
     assert plain.statistics()["clipped_share/b"] > 0.5
+
+
+@pytest.mark.parametrize("clip", [0.5, 0.0])
+def test_one_impossible_action_spoils_no_weights(clip):
+    """However unlikely a worker says that its action was, ratio and gradients stay finite."""
+    config = configured("ippo", objective="ppo", target_kl=0.0, gradient_clip=clip)
+    trainer = OnPolicyTrainer(config, TEAM)
+    experience = chunk(trainer.actors(), 0, ENDS, episodes=2)
+    experience.rows.log_probability[::3] = -100.0
+    trainer.absorb(experience)
+    trainer.train(trainer.updates_due())
+    assert all(np.isfinite(flat).all() for flat in trainer.actors().flat)
+
+
+def test_actors_are_changed_from_outside_between_iterations_only():
+    """Half of an iteration's updates leave ratios against the policy at its start."""
+    trainer = OnPolicyTrainer(configured("eia-ppo"), TEAM)
+    assert trainer.between_iterations
+    trainer.absorb(chunk(trainer.actors(), 0, ENDS, episodes=2))
+    assert trainer.between_iterations
+    trainer.train(1)
+    assert not trainer.between_iterations
+    trainer.train(trainer.updates_due())
+    assert trainer.between_iterations

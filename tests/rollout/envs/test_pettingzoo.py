@@ -1,12 +1,14 @@
 """Any PettingZoo parallel environment is a batch of environments like the farm."""
 
+import importlib
 import sys
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
@@ -15,7 +17,9 @@ from common.errors import ConfigError, SimulationError
 from common.farm import farm_of
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
 from rollout.envs import registry
+from rollout.envs.pettingzoo_actions import RowActions
 from rollout.envs.pettingzoo_batch import PettingZooBatch
+from rollout.envs.pettingzoo_spec import make_parallel
 from rollout.envs.registry import environment_spec, make_environments
 from rollout.evaluation import evaluate_run
 from rollout.heuristics.random import RandomPolicy
@@ -111,6 +115,9 @@ def test_an_episode_is_a_function_of_its_seeds():
         (EnvConfig("toy_env:Whole"), "is a Whole, not a PettingZoo ParallelEnv"),
         (relay('{"speed": 3}'), "cannot be made with"),
         (EnvConfig("toy_env:shouting"), "actions other than bounded boxes, Discrete and MultiDiscrete"),
+        (EnvConfig("toy_env:Nobody"), "does not name its possible agents"),
+        (relay(types="runer=r"), r"names the prefix 'runer', but the agents are runner_0, keeper_0, runner_1"),
+        (relay(types="runner=mean"), "no type can be called 'mean'"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
@@ -279,3 +286,60 @@ def test_a_name_that_nothing_has_registered_is_refused():
     """The sentence lists the environments of this package."""
     with pytest.raises(ConfigError, match=r"module:name or an environment of this package \(farm\), not 'mpe2'"):
         make_environments(RunConfig(env=EnvConfig("mpe2")), 1)
+
+
+def test_who_has_left_earns_nothing_whatever_the_environment_says():
+    """An environment that goes on to name agents that have left pays and shows them nothing."""
+    batch = PettingZooBatch(EnvConfig("toy_env:Lingering"), 1)
+    batch.reset(0, 1, 2)
+    for _ in range(4):
+        batch.step(np.zeros((1, 6), np.float32))
+    np.testing.assert_array_equal(batch.observation[0, :4], 0.0)
+    np.testing.assert_allclose(batch.reward[0], [0.0, 0.0, 1.5])
+
+
+def test_an_episode_ends_with_everybody_although_nobody_is_removed():
+    """An environment that keeps everybody in its list has ended when all have terminated or were truncated."""
+    batch = PettingZooBatch(EnvConfig("toy_env:Standing", arguments='{"leave": 5}'), 1)
+    batch.reset(0, 1, 2)
+    for _ in range(5):
+        assert not batch.ended[0]
+        batch.step(np.zeros((1, 6), np.float32))
+    assert (bool(batch.ended[0]), bool(batch.terminated[0])) == (True, True)
+
+
+def test_an_environment_that_is_not_taken_is_closed():
+    """One that acts in boxes replaces one that does not, and of a refused one nothing is left open."""
+    toy_env = importlib.import_module("toy_env")
+    for name, kept in (("toy_env:shy", 1), ("toy_env:shouting", 0)):
+        toy_env.Relay.opened = toy_env.Relay.closed = 0
+        with suppress(ConfigError):
+            make_parallel(EnvConfig(name))
+        assert toy_env.Relay.opened - toy_env.Relay.closed == kept
+
+
+def test_an_observation_outside_its_space_is_a_typed_error():
+    """The agent is named."""
+    batch = PettingZooBatch(EnvConfig("toy_env:Wandering"), 1)
+    batch.reset(0, 1, 2)
+    batch.step(np.zeros((1, 6), np.float32))
+    with pytest.raises(SimulationError, match="agent keeper_0 does not fit its space"):
+        batch.step(np.zeros((1, 6), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("space", "sent", "wanted"),
+    [
+        (spaces.Box(0, 3, (1,), np.int64), [-1.0, -0.4, 0.4, 0.9], [0, 1, 2, 3]),
+        (spaces.Box(-1, 1, (1,), np.int8), [-0.9, 0.1, 0.9], [-1, 0, 1]),
+        (spaces.Box(-0.1, 0.1, (1,), np.float64), [-1.0, 1.0], [-0.1, 0.1]),
+    ],
+)
+def test_actions_in_boxes_reach_every_value_and_stay_inside(space, sent, wanted):
+    """Whole numbers are rounded, and no bound is left by the rounding of 32-bit numbers."""
+    adapter = RowActions({"a": space})
+    for number, value in zip(sent, wanted, strict=True):
+        (row,) = adapter.in_range(np.array([[number]], np.float32))
+        action = adapter.by_agent(row, {"a"})["a"]
+        assert space.contains(action)
+        assert action[0] == value

@@ -1,5 +1,6 @@
 """The vector environment: no copies, the same episodes as elsewhere, and Gymnasium's three autoreset modes."""
 
+import copy
 from dataclasses import replace
 
 import gymnasium
@@ -265,3 +266,21 @@ def test_pictures_of_chosen_environments():
     assert not np.array_equal(*frames)
     envs.close()
     assert FarmVectorEnv(COUNT, SHORT).render() is None
+
+
+def test_a_copy_is_an_environment_of_its_own():
+    """Stepping a copy moves the copy's observations, infos and clock, and leaves the original as it was."""
+    env = FarmVectorEnv(2, SHORT)
+    env.reset(seed=1)
+    action = np.full((2, env.batch.team.environment_action_size), 0.5, np.float32)
+    env.step(action)
+    twin = copy.deepcopy(env)
+    before = {name: view.copy() for name, view in env.step(action)[0].items()}
+    for name, view in twin.step(action)[0].items():
+        np.testing.assert_array_equal(view, before[name])
+    again, _, _, _, later = twin.step(action)
+    assert any((again[name] != before[name]).any() for name in again)
+    assert int(twin.batch.time[0]) == int(env.batch.time[0]) + 1
+    assert (later["energy"] == twin.batch.energy).all()
+    for name, view in env._views.items():
+        np.testing.assert_array_equal(view, before[name])

@@ -104,3 +104,48 @@ def numbered():
     environment.possible_agents = ["0", "1"]
     environment.observation_space = lambda agent: spaces.Box(-1.0, 1.0, (2,), np.float32)
     return environment
+
+
+class Lingering(Relay):
+    """An environment that goes on to return numbers of agents that have left."""
+
+    def step(self, actions):
+        seen, rewards, terminated, truncated, infos = super().step(actions)
+        left = [name for name in self.possible_agents if name not in seen]
+        some = self.observation_space("runner_0").shape[0]
+        return (
+            {**seen, **{name: np.full(some, 5.0) for name in left}},
+            {name: 7.0 for name in left} | rewards,
+            *(
+                terminated,
+                truncated,
+                infos,
+            ),
+        )
+
+
+class Standing(Relay):
+    """An environment that never removes an agent from its list."""
+
+    def step(self, actions):
+        found = super().step(actions)
+        self.agents = list(self.possible_agents)
+        return found
+
+
+class Nobody(Relay):
+    """An environment that does not say who its agents may be."""
+
+    def __init__(self):
+        super().__init__()
+        del self.possible_agents
+
+
+class Wandering(Relay):
+    """An environment whose observations leave their space."""
+
+    def _seen(self):
+        seen = super()._seen()
+        if "keeper_0" in seen and self.step_count == 2:
+            seen["keeper_0"]["mode"] = 3
+        return seen

@@ -8,10 +8,10 @@ import numba
 import numpy as np
 import pytest
 
-from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, WorldConfig
+from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, StressConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import SimulationError
-from common.seeds import stream
+from common.seeds import derive, stream
 from rollout.sim.batch import FarmBatch, start_positions
 from rollout.sim.kernel.compiler import decorators
 from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
@@ -75,6 +75,17 @@ def test_results_do_not_depend_on_the_number_of_threads(config, threads):
     for alone, together in zip(fly(config, episodes, 40), fly(config, episodes, 40, threads), strict=True):
         for name in ARRAYS:
             np.testing.assert_array_equal(alone[name], together[name])
+
+
+def test_a_copy_looks_at_its_own_areas():
+    """How fast counters rise is that of the farm that the copy flies, wherever it was copied."""
+    area = (3, ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)))
+    batch = FarmBatch(replace(SHORT, stress=StressConfig(areas=(area,))), 1)
+    twin = copy.deepcopy(batch)
+    for farms in (batch, twin):
+        farms.reset(0, 0, 5)
+    assert sorted(set(twin.plot_growth.ravel().tolist())) == [1, 3]
+    np.testing.assert_array_equal(twin.sensor_growth, batch.sensor_growth)
 
 
 @pytest.mark.parametrize(("config", "threads"), [(SHORT, 1), (SHORT, 2), (PLANNING, 2)])
@@ -345,3 +356,18 @@ def test_observations_stay_in_bounds():
     for episode in course:
         assert np.isfinite(episode["observation"]).all()
         assert np.abs(episode["observation"]).max() <= 1.01
+
+
+def test_seeds_of_numpy_are_numbers_like_others():
+    """A farm does not depend on the type of the number that names it."""
+    assert derive(np.int64(1000), "a") == derive(1000, "a") != derive("1000", "a")
+    with pytest.raises(TypeError):
+        derive(1000.0)
+
+
+def test_packed_arguments_are_packed_anew_wherever_they_are_rebuilt():
+    """Addresses do not travel with an environment that a user's wrapper serialises."""
+    (packed,) = FarmBatch(SHORT, 1)._arguments
+    again = copy.copy(packed)  # asks for what serialisers ask for
+    assert again.workspace is packed.workspace
+    assert again.address != packed.address

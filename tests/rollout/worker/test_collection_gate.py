@@ -31,6 +31,19 @@ def test_a_worker_keeps_to_its_window(window, under_way, free):
     assert (gate.actors() is not None) == free
 
 
+@pytest.mark.parametrize("changed", [("learner_state", "finished"), ("store_actors", None)])
+def test_a_reason_to_pause_ends_with_the_run(changed):
+    """Why it paused is no longer said by a worker that waits for something else."""
+    gate, learner, _ = worker(learner_silence=1e6)
+    gate._config = RolloutConfig(max_silence_seconds=30.0)
+    assert gate.actors() is None
+    assert "silent" in gate.pause_reason
+    part, _, field = changed[0].partition("_")
+    setattr(learner if part == "learner" else learner.store, field, changed[1])
+    assert gate.actors() is None
+    assert gate.pause_reason == ""
+
+
 def test_the_newest_word_counts():
     """A window that was published after the last answer replaces the answer's."""
     gate, learner, _ = worker(sender_window=0, learner_window=1)
@@ -55,3 +68,14 @@ def test_another_learner_may_have_lower_versions():
     assert gate.actors() == "actors"
     sender.required_version = 7
     assert gate.actors() is None
+
+
+def test_what_a_new_learner_asks_for_is_kept():
+    """Its first answer may come while the spool is full; the version in it counts all the same."""
+    gate, learner, sender = worker(sender_full=True)
+    learner.epoch = 2
+    assert gate.actors() is None
+    sender.full, sender.required_version = False, 6
+    assert gate.actors() is None
+    learner.store.version = 6
+    assert gate.actors() == "actors"

@@ -1,9 +1,15 @@
 """A worker follows its learner, and may always be ended while it waits for one."""
 
 import threading
+from contextlib import nullcontext
 from types import SimpleNamespace
 
+import pytest
+
 from common.actors import TeamActors
+from common.config import RunConfig
+from common.config.files import from_toml, to_toml
+from common.errors import UsageError
 from common.process import StopSignal
 from common.protocol import keys
 from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
@@ -22,7 +28,7 @@ def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
     """
     endpoint, stop = free_endpoint(), StopSignal()
     with Bus.listen(endpoint, "control"), Bus.connect(endpoint, "control", 10.0) as bus:
-        learner = LearnerLink(bus, "r", "0", "", TeamSpec((GroupSpec("one", 2, 3, 2),)), stop)
+        learner = LearnerLink(bus, "r", "0", RunConfig(), TeamSpec((GroupSpec("one", 2, 3, 2),)), stop)
         learner.epoch = 1
         thread = threading.Thread(target=learner._follow, args=(ProgressMessage(2, 1, 0, 0, 0, 0, "training"),))
         thread.start()
@@ -32,6 +38,23 @@ def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
         thread.join(60.0)
         assert not thread.is_alive()
         assert (learner.epoch, learner.state) == (1, "unknown")
+
+
+@pytest.mark.parametrize(
+    ("changed", "followed"), [("learner.threads = 2", True), ("evaluation.farms = 9", True), ("seed = 9", False)]
+)
+def test_a_new_learner_may_change_what_a_resumed_run_may(monkeypatch, changed, followed):
+    """Its own threads and the final evaluation are no business of a worker's; another seed is another run."""
+    wanted = from_toml(changed, RunConfig())
+    assert wanted != RunConfig()
+    answer = SimpleNamespace(toml=to_toml(wanted))
+    monkeypatch.setattr(learner_link, "fetch_configuration", lambda *arguments: answer)
+    learner = LearnerLink(States(), "r", "0", RunConfig(), TeamSpec((GroupSpec("one", 2, 3, 2),)), StopSignal())
+    learner.epoch = 1
+    follow = nullcontext() if followed else pytest.raises(UsageError, match="another configuration")
+    with follow:
+        learner._follow(ProgressMessage(2, 1, 0, 0, 0, 0, "training"))
+    assert learner.epoch == (2 if followed else 1)
 
 
 class States:
@@ -50,7 +73,7 @@ def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while(monkeypatc
     team = TeamSpec((GroupSpec("one", 2, 3, 2),))
     bus, clock = States(), SimpleNamespace(now=0.0)
     monkeypatch.setattr(learner_link, "fetch_configuration", lambda *arguments: None)
-    learner = LearnerLink(bus, "r", "0", "", team, StopSignal())
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team, StopSignal())
     learner._fence = EpochFence(lambda: clock.now)
 
     def hear(epoch, version, seed):

@@ -105,6 +105,10 @@ class PackedArguments:
         self.address: int = self._memory.ctypes.data
         _pack(workspace, self.address)
 
+    def __reduce__(self) -> tuple[type["PackedArguments"], tuple[Workspace]]:
+        """Pack the workspace again where a user's wrapper unpickles an environment: addresses do not travel."""
+        return PackedArguments, (self.workspace,)
+
     def __deepcopy__(self, memo: dict[int, Any]) -> "PackedArguments":
         """Pack a copy of the workspace. Packed bytes point at arrays, so copying the bytes would not do."""
         return PackedArguments(copy.deepcopy(self.workspace, memo))
