@@ -108,7 +108,7 @@ def fly(arguments: Arguments) -> dict[str, Any]:
     for name in arguments.only or contenders():
         start = time.process_time()
         evaluation = evaluate(config, policy_of(name, config), farms, 1, name=name)
-        results.append(summarised(evaluation, time.process_time() - start))
+        results.append({**summarised(evaluation, time.process_time() - start), "commit": made["commit"]})
         sys.stdout.write(f"{name}: {evaluation.total.reward:.0f}\n")
         sys.stdout.flush()
     seeds = {"first_farm": farms.start, "last_farm": farms.stop - 1, "farms": len(farms), "level": LEVEL}

@@ -43,12 +43,11 @@ class FarmOfChoices(FarmParallelEnv):
         given = {name: steered[2 * k : 2 * k + 2] for k, name in enumerate(self.agents)}
         seen, rewards, terminated, truncated, infos = super().step(given)
         scaled = {name: self._reward_scale * reward for name, reward in rewards.items()}
-        return seen, scaled, terminated, truncated, {name: {} for name in infos}
+        return seen, scaled, terminated, truncated, infos
 
-    def reset(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Begin an episode."""
-        seen, infos = super().reset(seed, options)
-        return seen, {name: {} for name in infos}
+    def _infos(self) -> Infos:
+        """Return empty infos; peers do not pay for what they do not use."""
+        return {name: {} for name in self.possible_agents}
 
 
 def farm_options(software: str) -> argparse.ArgumentParser:

@@ -34,6 +34,7 @@ from deploy.local.threads import thread_environment
 from deploy.reports.plots import DPI, OTHER_COLOURS
 from deploy.reports.provenance import provenance
 from deploy.reports.run_report import read_metrics
+from rollout.evaluation import episode_seed
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
 """Learning rates that are tried for every program at first."""
@@ -78,7 +79,7 @@ class Case:
 
 def scenarios() -> list[int]:
     """Return the environment seeds of the evaluation: those that our evaluation uses on farms 1000..."""
-    return [derive(farm, 0, "reset") % 2**31 for farm in range(1000, 1000 + SCENARIOS)]
+    return [derive(farm, episode_seed(farm, 0), "reset") % 2**31 for farm in range(1000, 1000 + SCENARIOS)]
 
 
 def options_of_ours(case: Case, budget: Budget) -> list[str]:
@@ -160,10 +161,10 @@ class Session:
         # Of the start: what is written on the way changes the tree.
         self.origin = provenance("benchmarks.peers.learning")
         self.runs: list[Line] = []
+        self._others: list[Line] = []
         if path is not None and path.is_file():
-            self.runs = [
-                run for run in json.loads(path.read_text(encoding="utf-8"))["runs"] if run["budget"] == vars(budget)
-            ]
+            for run in json.loads(path.read_text(encoding="utf-8"))["runs"]:
+                (self.runs if run["budget"] == vars(budget) else self._others).append(run)
 
     def run(self, case: Case, program: Program | None) -> float:
         """Return the reward that a case reaches."""
@@ -172,7 +173,7 @@ class Session:
                 return float(line["reward"])
         sys.stderr.write(f"{case.software} {case.algorithm}, rate {case.rate}, seed {case.seed}\n")
         found = run_ours(case, self.budget) if program is None else run_peer(program, case, self.budget, self.venvs)
-        kept = {"commit": self.origin["commit"], "budget": vars(self.budget)}
+        kept = {"commit": self.origin["commit"], "budget": vars(self.budget), "same_scenarios": True}
         self.runs.append({**vars(case), **found, **kept})
         self.save()
         return float(found["reward"])
@@ -181,7 +182,7 @@ class Session:
         """Write what was run so far."""
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            data = {**self.origin, "runs": self.runs}
+            data = {**self.origin, "runs": [*self._others, *self.runs]}
             self.path.write_text(json.dumps(data) + "\n", encoding="utf-8")
 
     def compare(self, software: str, algorithm: str, program: Program | None, seeds: int) -> None:
@@ -252,6 +253,8 @@ def page(runs: Sequence[Line]) -> str:
         "Episodes that ours has under way when its last update is done are trained on by none and left out.\n"
         "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
     )
+    if not all(run.get("same_scenarios") for run in runs):
+        setting += "The scenarios of ours and of the peers differ here, so a small difference means nothing.\n"
     return "\n".join(
         ["# simple_spread beside other projects", "", setting, *table(head, rows, 3), "", "![Curves](curves.png)", ""]
     )

@@ -56,9 +56,10 @@ def rate(environments: int, threads: int, seconds: float) -> float:
 
         once = min(block(5) for _ in range(3)) / 5
         steps = max(1, min(config.world.steps, int(seconds / BLOCKS / once)))
-        blocks = max(BLOCKS, int(seconds / (steps * once)))
-        best = min(block(steps) for _ in range(blocks))
-    return steps * (environments // count) * count / best
+        # As many equal parts as the peers have; one may hold several episodes.
+        episodes = max(1, round(seconds / BLOCKS / (steps * once)))
+        best = min(sum(block(steps) for _ in range(episodes)) for _ in range(BLOCKS))
+    return episodes * steps * (environments // count) * count / best
 
 
 def reference_rate(seconds: float) -> float:
