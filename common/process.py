@@ -34,12 +34,13 @@ class StopSignal:
 
     def __init__(self) -> None:
         self.event = threading.Event()
-        self._caught: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._caught: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._before: dict[int, Any] = {}
 
     def install(self) -> None:
         """Handle SIGINT and SIGTERM; only the main thread may call this."""
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+            self._before[number] = signal.signal(number, self._on_signal)
         threading.Thread(target=self._pass_on, name="signals", daemon=True).start()
         supervisor = os.environ.get(SUPERVISOR, "")
         if supervisor.isdecimal():
@@ -53,17 +54,19 @@ class StopSignal:
         self.event.set()
 
     def uninstall(self) -> None:
-        """Restore Python's own handlers of SIGINT and SIGTERM."""
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        """Restore the handlers that SIGINT and SIGTERM had before."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before.clear()
+        self._caught.put(False)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         # Setting the event would wait for ever for the lock of a wait that the signal interrupts in this thread.
-        self._caught.put(number)
+        self._caught.put(True)
 
     def _pass_on(self) -> None:
-        self._caught.get()
-        self.event.set()
+        if self._caught.get():
+            self.event.set()
 
     def __bool__(self) -> bool:
         return self.event.is_set()
@@ -200,5 +203,10 @@ def denial(bus: Bus, run: str, key: str) -> str | None:
 
 
 def connect(endpoint: Endpoint, lane: Any, stop: StopSignal, patience: float) -> Bus:
-    """Connect a lane, waiting `patience` seconds for a listener; raise EndpointError when there is none."""
+    """Connect a lane, waiting `patience` seconds for a listener.
+
+    Raises:
+        EndpointError: when there is none.
+        CancelledError: when a stop signal comes first.
+    """
     return Bus.connect(endpoint, lane, wait=patience, waiting=lambda: not stop)

@@ -1,11 +1,11 @@
-"""Exit codes: 0 done, 1 failed, 2 a user's mistake, 130 interrupted."""
+"""Exit codes: 0 done, 1 failed, 2 a user's mistake, 130 interrupted, 143 ended by SIGTERM."""
 
 import errno
 import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Final, TextIO
 
 from common.errors import CancelledError, EiaSecError, UsageError
 from common.text import printable_lines
@@ -41,7 +41,7 @@ def run_command(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
-        _leave_output()
+        _leave(sys.stdout)
         return PIPE_CLOSED
     except OSError as error:
         return _complain(*_of_system(error))
@@ -66,18 +66,21 @@ def _of_system(error: OSError) -> tuple[str, int]:
     if error.errno not in FULL:
         raise error
     if error.filename is None:
-        _leave_output()
+        _leave(sys.stdout)
     return f"{error.filename or 'the output'} cannot be written: {error.strerror}.", FAILED
 
 
-def _leave_output() -> None:
-    """Point standard output at /dev/null, so that the flush at exit does not fail a second time."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _leave(stream: TextIO) -> None:
+    """Point a stream at /dev/null, so that the flush at exit does not fail a second time."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _complain(sentence: str, code: int) -> int:
     # What cannot be said, because standard error is closed or its disk full, must not change the exit code.
-    with suppress(OSError, ValueError, AttributeError):
+    try:
         sys.stderr.write(f"eia-sec: {printable_lines(sentence)}\n")
         sys.stderr.flush()
+    except (OSError, ValueError, AttributeError):
+        with suppress(OSError, ValueError, AttributeError):
+            _leave(sys.stderr)  # or the flush at exit fails again, and changes the code
     return code

@@ -9,7 +9,7 @@ import numpy as np
 
 from common.config.presets import read_saved
 from common.config.run import RunConfig
-from common.errors import BusClosedError, BusError, ProtocolError
+from common.errors import BusClosedError, BusError, CancelledError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
 from common.incarnation import new_incarnation
 from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
@@ -34,6 +34,8 @@ ANSWER_SECONDS = 30.0
 """Initial time limit for a worker's evaluation; after it, the worker's farms go to other workers."""
 LONGEST_SECONDS = 3600.0
 """Largest time limit; each attempt that nobody answers doubles the limit."""
+DELIVER_SECONDS = 120.0
+"""Time that the learner has to apply an event; on policy it first ends the updates of its iteration."""
 RETRY_SECONDS = 0.5
 """Pause after an attempt that reached no worker; the workers may have just died."""
 CLAIM_SECONDS = 1.0
@@ -150,22 +152,33 @@ class Coordinator:
         rewards, version = found
         event = decide(self._team, self._config.elite, number, version, due, rewards)
         message = ImitationMessage.of(event, now.epoch)
-        if self._deliver(message):
+        if self._deliver(message, stop):
             self._announcer.put(message.encode())
             self._last = event
         self._await_applied(number, stop)
 
-    def _deliver(self, message: ImitationMessage) -> bool:
+    def _deliver(self, message: ImitationMessage, stop: StopSignal) -> bool:
         """Ask the learner to apply the event; return whether it applied exactly this one.
 
         Only then may the event be announced. An event of this number that the learner had already applied may be a
         different one: if its answer to an earlier delivery was lost, a new evaluation may have chosen other elites.
+        A learner on policy answers between two iterations, and the lead must not be lost meanwhile.
+
+        Raises:
+            CancelledError: a stop signal came.
         """
+
+        def again(waited: float) -> bool:
+            if stop:
+                raise CancelledError(f"event {message.event} was given up, because this process ends.")
+            self._claim()
+            return False
+
         try:
-            answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), 10.0, self._envelope)
+            key = keys.IMITATION.key(self._options.run)
+            answer = self._bus.ask(key, message.encode(), DELIVER_SECONDS, self._envelope, again)
             receipt = None if answer is None else ReceiptMessage.decode(answer)
             if answer is None:
-                key = keys.IMITATION.key(self._options.run)
                 log(denial(self._bus, self._options.run, key) or f"coordinator: event {message.event} got no answer.")
         except (BusError, ProtocolError) as error:
             log(f"coordinator: event {message.event}: {error}")

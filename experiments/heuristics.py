@@ -1,4 +1,4 @@
-"""Every heuristic and the policy that ships, on farms that nothing was tuned or trained on.
+"""Every heuristic and the policy that ships, on farms that nothing was trained on.
 
     python -m experiments.heuristics
 

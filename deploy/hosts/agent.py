@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,7 @@ from deploy.local.run_directory import HISTORY, RunDirectory
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take up a plan."""
 KILL_SECONDS: Final = 5.0
-ORPHAN_SECONDS: Final = 40.0
+ORPHAN_SECONDS: Final = 25.0
 """Time that the processes of a killed keeper have to end by themselves."""
 LEARNER: Final = "learner.learner"
 """The learner's name among the processes."""
@@ -98,28 +98,25 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     before = _pids(folder, roles)
     if named:
         rest = {name: process for name, process in plan["processes"].items() if name not in named}
+        fresh = keeper.new_plan(rest, again=False)
         try:
-            write_json(folder / PLAN, keeper.new_plan(rest, again=False))
-        except OSError:  # a full disk: the keeper starts none again that ends as it was asked to
-            _signal(before.values(), signal.SIGTERM)
+            write_json(folder / PLAN, fresh)
+        except OSError:  # a full disk
+            keeper.shorten_json(folder / PLAN, fresh)
     left, deadline = before, time.monotonic() + seconds
     while left and time.monotonic() < deadline:
         time.sleep(0.1)
-        left = {name: pid for name, pid in _pids(folder, roles).items() if before.get(name) == pid}
+        # On a full disk the keeper's state stays what it was, so it is asked for each process whether it is there.
+        left = {n: pid for n, pid in _pids(folder, roles).items() if before.get(n) == pid and _is_ours(pid, folder)}
     if left and kill:
-        _signal(left.values(), signal.SIGKILL)
+        for pid in left.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         deadline = time.monotonic() + KILL_SECONDS
         while left and time.monotonic() < deadline:
             time.sleep(0.1)
-            left = _pids(folder, roles)
+            left = {name: pid for name, pid in _pids(folder, roles).items() if _is_ours(pid, folder)}
     return {"ended": sorted(set(before) - set(left)), "left": sorted(left)}
-
-
-def _signal(pids: Iterable[int], number: int) -> None:
-    for pid in pids:
-        with suppress(ProcessLookupError):
-            if _is_ours(pid):
-                os.kill(pid, number)
 
 
 def status(folder: Path) -> dict[str, Any]:
@@ -161,14 +158,14 @@ def _await_orphans(folder: Path) -> None:
         kept = read_json(folder / STATE).get("processes", {})
     pids = [int(process.get("pid", 0)) for process in kept.values()]
     deadline = time.monotonic() + ORPHAN_SECONDS
-    while any(pid and _is_ours(pid) for pid in pids) and time.monotonic() < deadline:
+    while any(pid and _is_ours(pid, folder) for pid in pids) and time.monotonic() < deadline:
         time.sleep(0.1)
 
 
-def _is_ours(pid: int) -> bool:
-    """Return whether a process exists and runs a command of this package; its number may be another's by now."""
+def _is_ours(pid: int, folder: Path) -> bool:
+    """Return whether a process of that number exists and works in the folder, as all of a keeper's do."""
     try:
-        return b"deploy.cli" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return Path(f"/proc/{pid}/cwd").readlink() == folder.resolve()
     except OSError:
         return False
 
@@ -207,8 +204,8 @@ def _start_unit(folder: Path, command: Sequence[str]) -> None:
     unit = f"eia-sec-{hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12]}"
     log = f"--property=StandardError=append:{folder.resolve() / LOG}"
     passed = [f"--setenv={name}={value}" for name, value in os.environ.items() if name.startswith("PYTHON")]
-    # The keeper alone gets SIGTERM, and stops its processes one role after another.
-    ends = ["--property=KillMode=mixed", f"--property=TimeoutStopSec={keeper.FAREWELL_SECONDS * len(ORDER) + 30:.0f}"]
+    # The keeper alone gets SIGTERM, and stops its processes one role after another; without it they end by themselves.
+    ends = ["--property=KillMode=process", f"--property=TimeoutStopSec={keeper.FAREWELL_SECONDS * len(ORDER) + 30:.0f}"]
     words = ["systemd-run", "--user", "--quiet", "--collect", f"--unit={unit}", log, *ends, *passed, "--", *command]
     deadline = time.monotonic() + START_SECONDS
     while True:
@@ -217,6 +214,8 @@ def _start_unit(folder: Path, command: Sequence[str]) -> None:
         except subprocess.TimeoutExpired as error:
             raise HostError(f"systemd-run did not start the keeper within {START_SECONDS:.0f} s.") from error
         if not done.returncode:
+            return
+        if keeper.is_kept(folder):  # another `up` was faster
             return
         # The unit of a keeper that has just ended may still be there.
         if "already" not in done.stderr or time.monotonic() > deadline:

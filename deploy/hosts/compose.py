@@ -58,8 +58,7 @@ def _service(fleet: FleetSpec, places: Places, process: Process) -> dict[str, An
             "retries": 3,
             "start_period": "60s",
         },
-        # A mistake in the configuration, exit code 2, is not mended by a restart, but for Docker all codes are alike.
-        "restart": "on-failure:10",
+        "restart": "on-failure",
         # Without it, SIGTERM would not end a process that has not yet installed its handler.
         "init": True,
         "stop_grace_period": "90s",

@@ -68,6 +68,16 @@ def write_json(path: Path, value: Any) -> None:
         raise
 
 
+def shorten_json(path: Path, value: Any) -> None:
+    """Overwrite a file with a JSON value that is no longer than its content, for which a full disk has room.
+
+    Who reads it meanwhile may find a torn text; a keeper then keeps its plan and reads again.
+    """
+    with path.open("r+b") as file:
+        file.write(json.dumps(value).encode())
+        file.truncate()
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """Return the JSON object in a file, or an empty one if there is no file."""
     try:

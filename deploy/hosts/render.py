@@ -38,12 +38,16 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
     return written
 
 
-def left_over(fleet: FleetSpec, folder: Path, written: Sequence[Path]) -> list[Path]:
-    """Return units and keys in a folder that an earlier fleet of this run had and the written one does not have."""
-    units = [*folder.glob(f"*/eia-sec-{fleet.run}-*.service"), *folder.glob(f"*/eia-sec-{fleet.run}.target")]
-    keys = [path for path in folder.glob("keys/*") if path.is_dir() and path.name.partition(".")[0] in ORDER]
+def left_over(fleet: FleetSpec, form: str, folder: Path, written: Sequence[Path]) -> list[Path]:
+    """Return units, or Compose's keys, in a folder that an earlier form of the fleet had and this one does not have."""
+    found: list[Path] = []
+    for role in ORDER:
+        if form == "systemd":
+            found += folder.glob(f"*/eia-sec-{fleet.run}-{role}.*.service")
+        if form == "compose":
+            found += folder.glob(f"keys/{role}.*")
     kept = {*written, *(path.parent for path in written)}
-    return sorted(path for path in (*units, *keys) if path not in kept)
+    return sorted(path for path in found if path not in kept)
 
 
 def _compose(fleet: FleetSpec) -> dict[str, bytes]:

@@ -15,7 +15,8 @@ FIRST_FARM: Final = 1000
 FIRST_REPORTED: Final = 1020
 """First farm that full results are made from. The preset was chosen by trials flown on farms 1000..1019
 (docs/explanation/method.md), so these have had their say in what is compared. They stay in the records, whose jobs fly
-them, and are left out of every statistic; nothing at all was chosen on the farms behind them."""
+them, and are left out of every statistic. For the methods of the studies nothing was chosen on the farms behind them;
+settings of the presets `default` and `long` were (see experiments/studies/unseen.py)."""
 CHOICE_FARM: Final = 500
 """First farm of the evaluations that choose settings and draw curves; neither trained on nor reported."""
 

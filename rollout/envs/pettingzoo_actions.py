@@ -102,10 +102,11 @@ def _converted(numbers: Float32, space: spaces.Space[Any]) -> int | NDArray[Any]
     if isinstance(space, spaces.Discrete):
         return int(numbers[0]) + int(space.start)
     # Starts may be too large for 32-bit floats, so they are added to whole numbers.
-    shaped = numbers.reshape(space.shape or ())
-    whole = np.issubdtype(np.dtype(space.dtype), np.integer)
-    plain: NDArray[Any] = (np.rint(shaped) if whole else shaped).astype(space.dtype)
-    if isinstance(space, spaces.MultiDiscrete):
-        return plain + space.start
-    # A bound may lie within the 32-bit number that stands for it.
-    return np.clip(plain, space.low, space.high) if isinstance(space, spaces.Box) else plain
+    if not isinstance(space, spaces.Box):
+        plain: NDArray[Any] = numbers.reshape(space.shape or ()).astype(space.dtype)
+        return plain + space.start if isinstance(space, spaces.MultiDiscrete) else plain
+    # A bound may lie within the 32-bit number that stands for it, and so may the largest whole number of the type.
+    kind = int if np.issubdtype(np.dtype(space.dtype), np.integer) else float
+    bounds = zip(numbers.tolist(), np.ravel(space.low).tolist(), np.ravel(space.high).tolist(), strict=True)
+    inside = [min(max(kind(round(number) if kind is int else number), low), high) for number, low, high in bounds]
+    return np.array(inside, space.dtype).reshape(space.shape)

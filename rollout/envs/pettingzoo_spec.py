@@ -2,7 +2,7 @@
 
 import importlib
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -60,11 +60,17 @@ def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
     factory, keywords = _factory(config.name), config.keywords()
     with ExitStack() as rejected:
         environment = _made(config.name, factory, keywords)
-        rejected.callback(environment.close)
+        rejected.callback(_close, environment)
         found = _suitable(config, factory, environment, boxes=boxes)
         if found is environment:
             rejected.pop_all()
         return found
+
+
+def _close(environment: Parallel) -> None:
+    """Close an environment that is not used; foreign code may fail at that before its first reset."""
+    with suppress(Exception):
+        environment.close()
 
 
 def _suitable(config: EnvConfig, factory: Callable[..., Any], environment: Parallel, *, boxes: bool) -> Parallel:
@@ -80,7 +86,7 @@ def _suitable(config: EnvConfig, factory: Callable[..., Any], environment: Paral
         if _all_actions(continuous, is_bounded_box):
             return continuous
         if continuous is not environment:
-            continuous.close()
+            _close(continuous)
     if _all_actions(environment, _is_trainable):
         return environment
     raise ConfigError(

@@ -144,12 +144,12 @@ class FarmBatch:
 
     @property
     def plot_growth(self) -> NDArray[np.int32]:
-        """[E, n_px, n_py] how many times as often VDF rises because of areas; [E, 0, 0] if there is no stress."""
+        """[E, n_px, n_py] how many times as often VDF rises because of areas; see above. A new view at each access."""
         return self._state.plot_cycle[:, 2]
 
     @property
     def sensor_growth(self) -> NDArray[np.int32]:
-        """[E, S] how many times as often AoI rises because of areas; [E, 0] if there is no stress."""
+        """[E, S] how many times as often AoI rises because of areas; see above. A new view at each access."""
         return self._state.sensor_cycle[:, 2]
 
     @property

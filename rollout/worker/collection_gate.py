@@ -39,8 +39,10 @@ class CollectionGate:
         store, sender = self._learner.store, self._sender
         self.pause_reason = ""
         if self._learner.epoch != self._epoch:
-            # Versions of another learner; this one may have begun anew below them.
-            self._epoch, sender.required_version = self._learner.epoch, 0
+            if self._epoch:
+                # Versions of another learner; this one may have begun anew below them.
+                sender.required_version = 0
+            self._epoch = self._learner.epoch
         if store.actors is None or self._learner.state not in COLLECTING:
             return None
         if self._lockstep:

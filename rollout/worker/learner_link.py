@@ -77,7 +77,7 @@ class LearnerLink:
 
     @property
     def missed(self) -> int:
-        """Number of parameter messages that were overtaken or lost."""
+        """Number of parameter messages that were lost on the way."""
         return self._parameters.missed
 
     def poll(self) -> None:

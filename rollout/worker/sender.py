@@ -201,10 +201,12 @@ class Sender:
         if ack is None:
             return False
         settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
+        if settled:
+            # First, because with the window the worker may collect.
+            self.required_version = ack.required_version
+        self.window, self.answered_at = ack.window, time.monotonic()
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason, ack.required_version)
-        # Last, because with it the worker may collect, and then the version that is asked for must be known.
-        self.window, self.answered_at = ack.window, time.monotonic()
         return len(settled) >= len(batch)
 
     def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:

@@ -4,7 +4,6 @@ import errno
 import io
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -108,8 +107,9 @@ def test_who_is_ended_while_it_waits_has_not_failed(capsys):
 
 def test_sigterm_ends_a_command_that_does_not_handle_it():
     """With 128 + SIGTERM, after what the command had begun was ended."""
-    script = "import deploy.cli as c, time; c.dispatch = lambda words: time.sleep(60); c.main()"
-    with subprocess.Popen([sys.executable, "-c", script]) as process:
-        time.sleep(2.0)
+    script = "import deploy.cli as c, time; c.dispatch = lambda words: (print(flush=True), time.sleep(60)); c.main()"
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
         process.terminate()
         assert process.wait(30.0) == 143

@@ -91,7 +91,7 @@ def command(arguments: Sequence[str]) -> int:
         written = render(fleet, task.form, task.out)
         for path in written:
             console.print(f"written: {path}")
-        for path in left_over(fleet, task.out, written):
+        for path in left_over(fleet, task.form, task.out, written):
             console.print(f"no longer in the fleet; delete it: {printable(str(path))}")
         return DONE
     found = collect(fleet, task.out)

@@ -60,29 +60,34 @@ def command(arguments: Sequence[str]) -> int:
     within(0, 2**62, farm=options.farm, episode=options.episode)
     positive(patience=options.patience, steps=1 if options.steps is None else options.steps)
     farm = farm_of(options.run_dir, options.config)
+    named = _names(options, farm)
     stop = StopSignal()
     stop.install()
     with ExitStack() as opened:
-        links = _links(options, farm, opened, stop)
+        links = _links(options, named, farm, opened, stop)
         flight = SimulatedFleet(farm, links, options.patience).fly(options.farm, options.episode, stop, options.steps)
         refused = sum(link.refused for link in links.values())
     _show(metrics(flight, refused), options.json)
     return 0
 
 
-def _links(
-    options: SimulatorArguments, farm: FarmConfig, opened: ExitStack, stop: StopSignal
-) -> dict[str, VehicleLink]:
-    """Return each agent's link: one session for all, or with TLS one per certificate."""
-    fastest = farm.world.speed_x_max, farm.world.speed_y_max
+def _names(options: SimulatorArguments, farm: FarmConfig) -> dict[str, str]:
+    """Return each agent's vehicle; raise UsageError for names that fit no agent, or two."""
     vehicles, names = vehicles_of(options.vehicle), farm_team(farm).agent_names
     require_agents(vehicles, names, "the farm's")
     named = {agent: agent for agent in names} | {agent: vehicle for vehicle, agent in vehicles.items()}
     _require_own_names(named)
+    return named
+
+
+def _links(
+    options: SimulatorArguments, named: Mapping[str, str], farm: FarmConfig, opened: ExitStack, stop: StopSignal
+) -> dict[str, VehicleLink]:
+    """Return each agent's link: one session for all, or with TLS one per certificate."""
+    fastest = farm.world.speed_x_max, farm.world.speed_y_max
     shared: Bus | None = None
     links = {}
-    for agent in names:
-        vehicle = named[agent]
+    for agent, vehicle in named.items():
         if shared is None or options.tls is not None:
             folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None
             endpoint = Endpoint.parse(options.connect, folder)

@@ -199,7 +199,8 @@ class _Training:
             return
         last = self._supervisor.tail("learner")
         if learner.code == USAGE:
-            raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
+            reason = (last.splitlines() or ["the learner was refused, and there was no room to say why."])[-1]
+            raise UsageError(reason.removeprefix("eia-sec: "))
         raise EiaSecError(f"the learner failed; its last lines were:\n{last}")
 
     def _start(self) -> None:

@@ -39,7 +39,7 @@ HTTP: Final = 80
 SECONDS: Final = 3.0
 """Time that a browser has to open or close a connection."""
 SEND_SECONDS: Final = 10.0
-"""Time that a browser may read nothing before it is disconnected."""
+"""Time that a browser has to take in one packet before it is disconnected."""
 LOOK_SECONDS: Final = 0.5
 """Seconds between two checks whether an idle browser is still there."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:"

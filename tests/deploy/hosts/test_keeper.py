@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -13,6 +14,7 @@ from common.errors import HostError
 from deploy.hosts import agent, keeper
 from deploy.hosts.keeper import PLAN, STATE, Keeper, new_plan, write_json
 from deploy.local import supervisor
+from tests.system.fleet import until
 
 
 @pytest.fixture
@@ -174,10 +176,10 @@ def test_a_run_that_came_to_its_end_is_over(tmp_path, metrics, changed, over):
     assert not agent._is_over(tmp_path, {"rollout.a": learner})
 
 
-@pytest.mark.parametrize(("word", "awaited"), [("deploy.cli", True), ("somebody.else", False)])
-def test_the_processes_of_a_killed_keeper_are_awaited(tmp_path, word, awaited):
+@pytest.mark.parametrize(("place", "awaited"), [(".", True), ("..", False)])
+def test_the_processes_of_a_killed_keeper_are_awaited(tmp_path, place, awaited):
     """They still hold the run directory and the ports; a process that only has a number of theirs is none of them."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(2.0)", word])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(2.0)"], cwd=tmp_path / place)
     write_json(tmp_path / STATE, {"processes": {"learner.learner": {"pid": child.pid}, "rollout.a": {"pid": 0}}})
     try:
         agent._await_orphans(tmp_path)
@@ -190,7 +192,7 @@ def test_the_processes_of_a_killed_keeper_are_awaited(tmp_path, word, awaited):
 def test_nobody_waits_for_ever_for_the_processes_of_a_killed_keeper(tmp_path, monkeypatch):
     """One that hangs is left to the new keeper's log; a torn state names nobody."""
     monkeypatch.setattr(agent, "ORPHAN_SECONDS", 0.3)
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)", "deploy.cli"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)"], cwd=tmp_path)
     try:
         write_json(tmp_path / STATE, {"processes": {"learner.learner": {"pid": child.pid}}})
         agent._await_orphans(tmp_path)
@@ -202,28 +204,26 @@ def test_nobody_waits_for_ever_for_the_processes_of_a_killed_keeper(tmp_path, mo
         child.wait()
 
 
-def test_a_full_disk_does_not_keep_processes_alive(tmp_path, monkeypatch):
-    """`down` signals them itself where no plan can be written, and only those that are ours."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)", "deploy.cli"])
-    stranger = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)"])
-    pids = {"rollout.a-0": child.pid, "rollout.a-1": stranger.pid}
-    processes = {name: {"arguments": ["x"], "threads": 1} for name in pids}
-    write_json(tmp_path / PLAN, new_plan(processes, again=True))
-    write_json(tmp_path / STATE, {"pid": 1, "processes": {name: {"pid": pid} for name, pid in pids.items()}})
+def test_a_full_disk_does_not_keep_processes_alive(kept, tmp_path, monkeypatch):
+    """The plan gets shorter in place, and a state that nobody could write is not believed."""
+    plan(tmp_path, one=LONG, two=LONG)
+    monkeypatch.chdir(tmp_path)
+    turn(kept)
+    pids = [child.process.pid for child in kept._supervisor.children.values()]
 
     def full(path, value):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(agent, "write_json", full)
-    try:
-        with keeper.lock(tmp_path):
-            agent.down(tmp_path, ["rollout"], 0.5, kill=False)
-            assert child.wait(10.0) == -15
-            assert stranger.poll() is None
-    finally:
-        for process in (child, stranger):
-            process.kill()
-            process.wait()
+    monkeypatch.setattr(keeper, "write_json", full)
+    answers = []
+    with keeper.lock(tmp_path):
+        thread = threading.Thread(target=lambda: answers.append(agent.down(tmp_path, ["rollout"], 30.0, kill=False)))
+        thread.start()
+        until(lambda: turn(kept) or not thread.is_alive(), "the answer")
+    assert answers == [{"ended": ["rollout.one", "rollout.two"], "left": []}]
+    assert set(states(tmp_path)) == {"rollout.one", "rollout.two"}
+    assert not any(agent._is_ours(pid, tmp_path) for pid in pids)
 
 
 def test_two_who_look_for_a_keeper_do_not_see_each_other(tmp_path):

@@ -336,6 +336,10 @@ def test_containers_without_certificates_need_a_word(tmp_path):
 def test_what_a_removed_worker_left_is_named(fleet, tmp_path, form, capsys):
     """Its unit would be installed by the page's command; its keys are of no use any more."""
     command = ["render", form, str(fleet.path), "--out", str(tmp_path / "out")]
+    (tmp_path / "out" / "farm-2").mkdir(parents=True)
+    (tmp_path / "out" / "farm-2" / "eia-sec-field_1-b-rollout.farm-2-1.service").write_text("of another run")
+    other = {"systemd": "compose", "compose": "systemd"}[form]
+    assert fleet_command(["render", other, *command[2:]]) == 0
     assert fleet_command(command) == 0
     assert "no longer" not in capsys.readouterr().out
     fleet.path.write_text(fleet.path.read_text().replace("workers = 2", "workers = 1"))
