@@ -16,6 +16,7 @@ import json
 import re
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -255,6 +256,13 @@ def kept(folder: Path | None) -> dict[str, Scores]:
     return found
 
 
+def require_farms(folder: Path | None, farms: Sequence[int]) -> None:
+    """Raise UsageError for results of other farms, beside which those of these would stand as if they were alike."""
+    path = folder / "results.json" if folder else None
+    if path is not None and path.is_file() and json.loads(path.read_text(encoding="utf-8"))["farms"] != list(farms):
+        raise UsageError(f"the results in {folder} are of other farms; write these elsewhere.")
+
+
 def options() -> argparse.Namespace:
     """Return the command line."""
     about = (__doc__ or "").partition("\n")[0]
@@ -309,6 +317,7 @@ def main() -> int:
     """Train and fly, print what came out, and write it where asked after each condition; return 0."""
     arguments = options()
     torch.set_num_threads(1)
+    require_farms(arguments.write, arguments.farms)
     results = kept(arguments.write)
     if arguments.another is not None:
         for name in arguments.name:

@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from common.config import FarmConfig
+from common.errors import UsageError
 from common.farm import COMMUNICATION
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.run_report import read_metrics
@@ -33,6 +34,8 @@ SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Shares of the lawnmower's reward."""
 WINDOW: Final = 64
 """Episodes whose mean counts."""
+COMMAND: Final = "eia-sec train --preset {preset} --seed SEED"
+"""What made the runs."""
 SCRIPT: Final = "lawnmower+search"
 """A heuristic with the relays that are flown in place of a policy's own."""
 
@@ -108,16 +111,25 @@ def intervals(runs: list[dict[str, Any]]) -> dict[str, list[float]]:
     return {name: list(interval(np.array(values)[:, None], mean)) for name, values in scores.items()}
 
 
+def _earlier(arguments: Arguments) -> list[dict[str, Any]]:
+    """Return the runs that the file has; raise UsageError if they are of another preset or flew other farms."""
+    data = json.loads(arguments.write.read_text(encoding="utf-8"))
+    wanted = COMMAND.format(preset=arguments.preset), FIRST_REPORTED, FARMS
+    if (data["command"], data["first_farm"], data["farms"]) != wanted:
+        raise UsageError(f"{arguments.write} has runs of another preset or on other farms; write these elsewhere.")
+    return list(data["runs"])
+
+
 def main() -> None:
     """Evaluate all runs and write the results."""
     arguments = tyro.cli(Arguments, prog="python -m experiments.seeds")
-    earlier = json.loads(arguments.write.read_text(encoding="utf-8"))["runs"] if arguments.add else []
+    earlier = _earlier(arguments) if arguments.add else []
     farm = RunDirectory(arguments.runs[0]).configuration().farm
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
     lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower").total.reward
     runs = merged(earlier, [summary(path, arguments.commit, lawnmower, arguments.at_once) for path in arguments.runs])
     data = {
-        "command": f"eia-sec train --preset {arguments.preset} --seed SEED",
+        "command": COMMAND.format(preset=arguments.preset),
         "commit": ", ".join(dict.fromkeys(run["commit"] for run in runs)),
         "first_farm": FIRST_REPORTED,
         "farms": FARMS,

@@ -143,6 +143,9 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])
     with pytest.raises(SystemExit):
         main()
+    monkeypatch.setattr(sys, "argv", ["conditions", "tiny", "--farms", "5:7", "--write", str(tmp_path)])
+    with pytest.raises(UsageError, match="of other farms"):
+        main()
 
 
 def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):

@@ -1,9 +1,14 @@
 """When a run's training reward reached a goal, and relays that a heuristic flies."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from common.config.presets import preset
-from experiments.seeds import SCRIPT, intervals, merged, reached, scripted_relays
+from common.errors import UsageError
+from experiments.seeds import SCRIPT, Arguments, _earlier, intervals, merged, reached, scripted_relays
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
@@ -53,3 +58,18 @@ def test_runs_of_several_days_are_one_result():
     found = intervals(runs)
     assert [found[name][0] for name in ("reward", "aoi", "vdf")] == [4.0, 0.4, 2.0]
     assert found["reward"][1:] == [2.0, 6.0]
+
+
+def test_runs_of_another_preset_are_not_added(tmp_path):
+    """Beside each other they would count as seeds of one."""
+    data = {
+        "command": "eia-sec train --preset long --seed SEED",
+        "first_farm": 1020,
+        "farms": 80,
+        "runs": [{"seed": 3}],
+    }
+    (tmp_path / "seeds.json").write_text(json.dumps(data))
+    asked = Arguments((), "c", preset="long", add=True, write=tmp_path / "seeds.json")
+    assert _earlier(asked) == [{"seed": 3}]
+    with pytest.raises(UsageError, match="another preset"):
+        _earlier(replace(asked, preset="default"))
