@@ -26,6 +26,8 @@ ORPHAN_SECONDS: Final = 25.0
 """Time that the processes of a killed keeper have to end by themselves."""
 LEARNER: Final = "learner.learner"
 """The learner's name among the processes."""
+PROCESSES: Final = Path("/proc")
+"""Where Linux has a folder for each process."""
 MAX_LINES: Final = 10_000
 LINE_BYTES: Final = 400
 """Assumed bytes per line of a log; fewer lines are shown where they are longer."""
@@ -165,7 +167,10 @@ def _await_orphans(folder: Path) -> None:
 def _is_ours(pid: int, folder: Path) -> bool:
     """Return whether a process of that number exists and works in the folder, as all of a keeper's do."""
     try:
-        return Path(f"/proc/{pid}/cwd").readlink() == folder.resolve()
+        if not PROCESSES.is_dir():  # not Linux: its place is not known
+            os.kill(pid, 0)
+            return True
+        return (PROCESSES / str(pid) / "cwd").readlink() == folder.resolve()
     except OSError:
         return False
 

@@ -244,3 +244,14 @@ def test_a_plan_of_the_same_time_is_read(kept, tmp_path):
     os.utime(tmp_path / PLAN, ns=(before.st_atime_ns, before.st_mtime_ns))
     turn(kept)
     assert set(states(tmp_path)) == {"rollout.one", "rollout.two"}
+
+
+def test_without_proc_a_number_is_all_there_is(tmp_path, monkeypatch):
+    """Where no place of a process is known, it is taken for ours while it exists."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600.0)"])
+    assert not agent._is_ours(child.pid, tmp_path)
+    monkeypatch.setattr(agent, "PROCESSES", tmp_path / "none")
+    assert agent._is_ours(child.pid, tmp_path)
+    child.kill()
+    child.wait()
+    assert not agent._is_ours(child.pid, tmp_path)
