@@ -112,6 +112,7 @@ def fly(arguments: Arguments) -> dict[str, Any]:
         sys.stdout.write(f"{name}: {evaluation.total.reward:.0f}\n")
         sys.stdout.flush()
     seeds = {"first_farm": farms.start, "last_farm": farms.stop - 1, "farms": len(farms), "level": LEVEL}
+    made["commit"] = ", ".join(dict.fromkeys(result.get("commit", "unknown") for result in results))
     return {**made, **seeds, "results": results}
 
 

@@ -1,9 +1,9 @@
 """The presets.
 
 The preset `default` stands nowhere in this file: it is the dataclasses' own defaults, in `algorithms/`, `farm/`,
-`optional_sections.py` and `run.py` of this folder. `make train` runs it, and nothing
-that we tried trains better (docs/explanation/method.md). Every other preset is an overlay in TOML on those defaults, as
-a user could have written it. docs/reference/configuration.md lists each option's value in each preset.
+`optional_sections.py` and `run.py` of this folder. `make train` runs it, and nothing that we tried trains better
+(docs/explanation/method.md). Every other preset is an overlay in TOML on those defaults, as a user could have written
+it. docs/reference/configuration.md lists each option's value in each preset.
 """
 
 from pathlib import Path

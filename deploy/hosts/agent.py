@@ -17,6 +17,7 @@ from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
 from deploy.hosts.plan import ORDER
 from deploy.local import contained_files
+from deploy.local.file_ends import last_lines
 from deploy.local.run_directory import HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
@@ -126,7 +127,7 @@ def status(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         return {"keeper": 0, "processes": {}, "alarms": []}
     state = read_json(folder / STATE)
-    alive = _has_keeper(folder)
+    alive = keeper.is_kept(folder)
     processes = state.get("processes", {}) if alive else {}
     return {"keeper": state.get("pid", 0) if alive else 0, "processes": processes, "alarms": state.get("alarms", [])}
 
@@ -153,7 +154,7 @@ def _await_orphans(folder: Path) -> None:
 
     One that does not end in time is left alone; the new keeper's log then says what is in use.
     """
-    if _has_keeper(folder):
+    if keeper.is_kept(folder):
         return
     kept: dict[str, Any] = {}
     with suppress(HostError):  # a torn state names nobody
@@ -184,7 +185,7 @@ def _taken_up(folder: Path, issue: int) -> bool:
 
 def _ensure_keeper(folder: Path, start: str, issue: int) -> None:
     """Start a keeper unless one holds the folder's lock; of two that start at once, one exits."""
-    if _has_keeper(folder):
+    if keeper.is_kept(folder):
         return
     command = [sys.executable, "-P", "-m", "deploy.cli", "host", "keep", "--folder", str(folder.resolve())]
     if start == "systemd":
@@ -196,7 +197,7 @@ def _ensure_keeper(folder: Path, start: str, issue: int) -> None:
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
             )
     deadline = time.monotonic() + START_SECONDS
-    while not (_has_keeper(folder) or _taken_up(folder, issue)) and time.monotonic() < deadline:
+    while not (keeper.is_kept(folder) or _taken_up(folder, issue)) and time.monotonic() < deadline:
         if process is not None and process.poll() is not None:
             return
         time.sleep(0.05)
@@ -228,10 +229,6 @@ def _start_unit(folder: Path, command: Sequence[str]) -> None:
         time.sleep(0.5)
 
 
-def _has_keeper(folder: Path) -> bool:
-    return keeper.is_kept(folder)
-
-
 def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
     """Return the process ids of the running processes of some roles, by name."""
     found = status(folder)["processes"]
@@ -240,9 +237,6 @@ def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
 
 def _tail(path: Path, lines: int) -> str:
     try:
-        with path.open("rb") as source:
-            source.seek(max(0, path.stat().st_size - LINE_BYTES * lines))
-            text = source.read().decode(errors="replace")
+        return "\n".join(last_lines(path, LINE_BYTES * lines)[-lines:])
     except OSError:
         return ""
-    return "\n".join(text.splitlines()[-lines:])

@@ -11,6 +11,7 @@ from common.config import RunConfig
 from common.config.files import differences, method_of, to_toml
 from common.config.presets import read_saved
 from common.errors import RunDirError
+from deploy.local.file_ends import last_lines
 
 CONFIG = "config.toml"
 FRESH = f"{CONFIG}.new"
@@ -136,13 +137,10 @@ class RunDirectory:
     def finished(self) -> bool:
         """Return whether the newest start of the learner here finished its run."""
         try:
-            with (self.path / METRICS).open("rb") as file:
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(0, size - LAST_LINE_BYTES))
-                lines = file.read(LAST_LINE_BYTES).splitlines()
+            lines = last_lines(self.path / METRICS, LAST_LINE_BYTES)
         except OSError:
             return False
-        return bool(lines) and b'"kind": "end"' in lines[-1] and b'"state": "finished"' in lines[-1]
+        return bool(lines) and '"kind": "end"' in lines[-1] and '"state": "finished"' in lines[-1]
 
     def _compare(self, held: RunConfig, wanted: RunConfig, *, resume: bool) -> None:
         found = differences(method_of(held), method_of(wanted)) if resume else differences(held, wanted)

@@ -12,6 +12,7 @@ from typing import Final
 
 from common.process import SEPARATOR, SUPERVISOR, log
 from deploy.exit_codes import USAGE
+from deploy.local.file_ends import last_lines
 from deploy.local.threads import thread_environment
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
@@ -110,12 +111,9 @@ class Supervisor:
     def tail(self, name: str) -> str:
         """Return the last lines of a child's log."""
         try:
-            with (self._logs / f"{name}.log").open("rb") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - TAIL_BYTES))
-                lines = file.read(TAIL_BYTES).decode(errors="replace").splitlines()
+            return "\n".join(last_lines(self._logs / f"{name}.log", TAIL_BYTES)[-TAIL_LINES:])
         except OSError:
             return ""
-        return "\n".join(lines[-TAIL_LINES:])
 
     def _spawn(self, child: Child) -> None:
         again = child.restart_arguments if child.deaths else []

@@ -6,7 +6,6 @@ whatever else it finds, and every line that was damaged after it was written.
 """
 
 import json
-import os
 import sys
 from bisect import bisect_right
 from collections import Counter
@@ -16,6 +15,7 @@ from typing import Any, Final
 
 from common.errors import RunDirError
 from common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
+from deploy.local.file_ends import last_lines
 from deploy.local.run_directory import HISTORY, METRICS
 from deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
@@ -367,7 +367,7 @@ def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
         whole: whether they go back to the run's beginning; if not, the ledger's sums cover more.
     """
     try:
-        last = [json.loads(line) for line in _last_lines(metrics, 2)]
+        last = [json.loads(line) for line in last_lines(metrics, LAST_BYTES)[-2:]]
     except (OSError, ValueError, RecursionError):
         return
     if [record.get("kind") for record in last if isinstance(record, dict)] != ["status", "end"]:
@@ -384,13 +384,6 @@ def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
         found.unexplained.append(f"the learner itself could not explain {ledger['unexplained']} steps.")
     if whole and ledger.get("lost", 0) > found.steps["lost"]:
         found.unexplained.append(f"lost: the learner says {ledger['lost']}, the histories {found.steps['lost']}.")
-
-
-def _last_lines(path: Path, count: int) -> list[str]:
-    """Return a file's last lines, of its last LAST_BYTES at most."""
-    with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - LAST_BYTES))
-        return file.read(LAST_BYTES).decode(errors="replace").splitlines()[-count:]
 
 
 def _name(source: Source, first: int, last: int) -> str:

@@ -90,17 +90,14 @@ class ChunkRules:
             raise SchemaError(f"the states are those of {len(state)} environments, not of {self.environments}.")
         return chunk
 
-    def check_counts(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
+    def check_counts(self, sender: Envelope, produced: int, flown: int) -> None:
         """Raise SchemaError unless a worker's counts follow from the sequence number of its chunk.
 
         Args:
             sender: who sent the chunk, with the chunk's own number.
-            steps: environment steps in its rows.
             produced: steps that its start has produced up to and including it, as the chunk states.
             flown: steps that its start has flown, as the delivery states.
         """
-        if steps != self.steps:
-            raise SchemaError(f"the chunk holds {steps} steps, but each chunk of this run holds {self.steps}.")
         if produced != sender.sequence * self.steps:
             raise SchemaError(f"{produced} steps produced with chunk {sender.sequence} of {self.steps} steps each.")
         if flown > produced + self.spool_chunks * self.steps:

@@ -254,7 +254,7 @@ class Receiver:
             return status, ""
         try:
             chunk = self._rules.chunk_of(message, self._team)
-            self._rules.check_counts(sender, chunk.rows.steps, message.produced, delivery.flown)
+            self._rules.check_counts(sender, message.produced, delivery.flown)
             since = self._episodes.check(sender, chunk)
         except ProtocolError as error:
             self._bad(sender.name, str(error))

@@ -6,8 +6,8 @@ A type's value is, by algorithm,
     mappo     V_i(o_1, ..., o_n): of the observations of all agents
     eia-ppo   V_P,i = eps V_i(o_i) + (1 - eps) mean_k V_s,k(o_i), the mixture of eq. (value) with values in place of Q
 
-Every network regresses to the return by itself (A7): L = mean((V - R)^2), over a
-batch and the agents; each member of the ensemble adds its own.
+Every network regresses to the return by itself (A7): L = mean((V - R)^2), over a batch and the agents; each member of
+the ensemble adds its own.
 """
 
 from abc import ABC, abstractmethod

@@ -202,11 +202,11 @@ class Sender:
             return False
         settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
         if settled:
-            # First, because with the window the worker may collect.
+            # First: with an empty spool, or with the window, the worker may collect.
             self.required_version = ack.required_version
         self.window, self.answered_at = ack.window, time.monotonic()
         for held, (verdict, reason) in zip(batch, settled, strict=False):
-            self._settle(held, verdict, reason, ack.required_version)
+            self._settle(held, verdict, reason)
         return len(settled) >= len(batch)
 
     def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
@@ -234,12 +234,10 @@ class Sender:
             log(f"worker {self._worker}: {text}")
             self._last_error, self._last_error_at = text, now
 
-    def _settle(self, held: _Held, verdict: str, reason: str, required_version: int) -> None:
+    def _settle(self, held: _Held, verdict: str, reason: str) -> None:
         """Record the verdict and remove the oldest chunk."""
         number, steps = held.sequence, held.steps
         with self._changed:
-            # The worker may collect as soon as the spool is empty, so the version must be known before that.
-            self.required_version = required_version
             recorded = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
             self._history.add(Entry(recorded, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()

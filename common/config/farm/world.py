@@ -102,8 +102,8 @@ class WorldConfig:
             raise ConfigError(f"UAVs fly too far in a step: {self.speed_x_max} m/s and {self.speed_y_max} m/s.")
         for cycle in (*self.sensor_cycles, self.vdf_cycle):
             within(1, 1_000_000, cycle=cycle)
-            within(0, MOST_CYCLE_STEPS, **{f"steps of a cycle of {cycle} s": cycle / self.step_seconds})
             steps = cycle / self.step_seconds
+            within(0, MOST_CYCLE_STEPS, **{f"steps of a cycle of {cycle} s": steps})
             if abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
                 raise ConfigError(f"a cycle of {cycle} s is not a whole number of steps of {self.step_seconds} s.")
         check_sites(self.sites, self.sensors, self.field_x, self.field_y, len(self.sensor_cycles))

@@ -37,16 +37,7 @@ def systemd_run(tmp_path, monkeypatch):
     for folder in (tmp_path / "host", tmp_path / "other"):
         if folder.exists():
             agent.down(folder, ["rollout"], 10.0, kill=True)
-            until(lambda folder=folder: not has_keeper(folder), "the keeper's end")
-
-
-def has_keeper(folder):
-    """Return whether somebody holds the folder's lock."""
-    held = keeper.lock(folder)
-    if held is None:
-        return True
-    held.close()
-    return False
+            until(lambda folder=folder: not keeper.is_kept(folder), "the keeper's end")
 
 
 def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path, monkeypatch):
@@ -66,7 +57,7 @@ def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path, monkeypatch):
     log = folder / agent.LOG
     until(lambda: log.exists() and "rollout.here-0" in log.read_text(), "the keeper's log")
     agent.down(folder, ["rollout"], 30.0, kill=True)
-    until(lambda: not has_keeper(folder), "the keeper's end")
+    until(lambda: not keeper.is_kept(folder), "the keeper's end")
     (folder / keeper.STATE).write_text("")
     monkeypatch.setattr(agent, "START_SECONDS", 3600.0)
     agent.up(folder, {}, {}, "systemd")
