@@ -36,6 +36,7 @@ RUN if [ "${VARIANT}" = cpu ] && [ -z "${TORCH_INDEX}" ]; then \
         python -c "import sys, torch; sys.exit('TORCH_INDEX gave a torch with CUDA.' if torch.version.cuda else 0)"; \
     fi
 COPY pyproject.toml README.md LICENSE ./
+COPY src src
 COPY common common
 COPY rollout rollout
 COPY learner learner
@@ -45,7 +46,7 @@ COPY deploy deploy
 RUN pip install -c constraints.txt ${PIP_ARGS} ".[export]"
 WORKDIR /data
 # The simulator is compiled once, into a cache that any account may add to: other processors compile for themselves.
-RUN NUMBA_NUM_THREADS=1 python -c "from common.config import FarmConfig; from rollout.sim.batch import FarmBatch; \
+RUN NUMBA_NUM_THREADS=1 python -c "from eia_sec.common.config import FarmConfig; from eia_sec.rollout.sim.batch import FarmBatch; \
 FarmBatch(FarmConfig(), 1).reset(0, 0, 0)" \
     && chmod -R a+rwX /var/cache/eia-sec
 

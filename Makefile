@@ -4,7 +4,7 @@
 # make docs    set up, then refresh the generated blocks and pictures of docs/
 # make site    set up, then build the documentation as a site in build/site; a broken link is an error
 # make bench-peers  set up, then measure side by side with other projects, each in an environment of its own:
-#              make bench-peers ARGS="--write docs/results/peers"
+#              make bench-peers ARGS="--write research/results/peers"
 # make reproduce  set up, then make the paper's headline table from scratch; says beforehand how long it takes:
 #              make reproduce JOBS=4; another study: make reproduce STUDY=ablation
 # make clean   remove the environments and all caches (runs/ stays)
@@ -38,17 +38,17 @@ lint: $(READY)
 	@$(VENV)/bin/mypy
 
 docs: $(READY)
-	@$(VENV)/bin/python -m docs.tools.pages
+	@$(VENV)/bin/python -m research.pages.pages
 
 site: $(READY)
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --quiet
 	@echo "open build/site/index.html"
 
 bench-peers: $(READY)
-	@$(VENV)/bin/python -m benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)
+	@$(VENV)/bin/python -m research.benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)
 
 reproduce: $(READY)
-	@$(VENV)/bin/eia-sec reproduce $(STUDY) --scale full --jobs $(JOBS) $(ARGS)
+	@$(VENV)/bin/python -m research.studies $(STUDY) --scale full --jobs $(JOBS) $(ARGS)
 
 setup: $(READY)
 
@@ -65,10 +65,10 @@ $(READY): pyproject.toml constraints.txt
 	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
 	@$(PIP) --no-build-isolation --editable '.[dev,export]'
 	@echo "Compiling the simulator once, so that no process has to."
-	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from common.config import FarmConfig; from rollout.sim.batch import FarmBatch; \
+	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from eia_sec.common.config import FarmConfig; from eia_sec.rollout.sim.batch import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)
 
 clean:
-	rm -rf $(VENV) benchmarks/.venvs dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) research/benchmarks/.venvs dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -8,15 +8,16 @@ flat vector theta in this order, each matrix stored input-major:
 The agents of a type are the rows of one [n_v, P] array, so imitation blends two rows. A type whose agents share their
 parameters has one row, [1, P]; it then serves any number of agents.
 
-An actor with memory has a gated recurrent unit (`common.gru`) in place of the second hidden layer, W2 and b2. Its order
-is W1, b1, W, b, U, c, W3, b3. Whoever lets it decide keeps its state: zeros at the start of an episode, and updated in
-place by every decision.
+An actor with memory has a gated recurrent unit (`eia_sec.common.gru`) in place of the second hidden layer, W2 and b2.
+Its order is W1, b1, W, b, U, c, W3, b3. Whoever lets it decide keeps its state: zeros at the start of an episode, and
+updated in place by every decision.
 
 A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANGE. Its noise-free action is tanh(m), and
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 
 A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
-of each branch. Its noise-free action is the legal option with the largest logit, and `common.actions.sampling` samples.
+of each branch. Its noise-free action is the legal option with the largest logit, and `eia_sec.common.actions.sampling`
+samples.
 """
 
 import hashlib
@@ -27,11 +28,11 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from common.actions.sampling import best_options, sample_options, sample_squashed
-from common.errors import SchemaError
-from common.gru import Memory, next_state, unit_shapes
-from common.seeds import stream
-from common.team import Float32, GroupSpec, TeamSpec
+from eia_sec.common.actions.sampling import best_options, sample_options, sample_squashed
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.gru import Memory, next_state, unit_shapes
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, GroupSpec, TeamSpec
 
 Head = Literal["deterministic", "gaussian"]
 HEADS: Final[tuple[Head, ...]] = get_args(Head)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from common.team import TeamSpec
+from eia_sec.common.team import TeamSpec
 
 
 @dataclass(frozen=True)

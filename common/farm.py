@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from common.actions.adapters import CENTRE, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
-from common.config import FarmConfig, RunConfig, WorldConfig
-from common.config.environment import FARM
-from common.config.farm.control import Control
-from common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
-from common.errors import ConfigError
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.actions.adapters import CENTRE, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.config import FarmConfig, RunConfig, WorldConfig
+from eia_sec.common.config.environment import FARM
+from eia_sec.common.config.farm.control import Control
+from eia_sec.common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 COMMUNICATION: Final = "communication"
 MONITORING: Final = "monitoring"

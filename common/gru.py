@@ -15,9 +15,9 @@ from typing import Final, get_args
 
 import numpy as np
 
-from common.config.algorithms.on_policy import Memory
-from common.errors import SchemaError
-from common.team import Float32
+from eia_sec.common.config.algorithms.on_policy import Memory
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.team import Float32
 
 __all__ = ["Memory", "checked_memory", "next_state", "unit_shapes"]
 

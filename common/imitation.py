@@ -7,9 +7,9 @@ learner's count of applied events.
 from dataclasses import dataclass
 from typing import Final
 
-from common.config import EliteConfig, RunConfig
-from common.errors import SchemaError
-from common.team import TeamSpec
+from eia_sec.common.config import EliteConfig, RunConfig
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.team import TeamSpec
 
 MOST_STEPS: Final = 2**48
 """Most environment steps of an evaluation."""

@@ -8,7 +8,7 @@ import secrets
 import time
 from typing import Final
 
-from common.errors import UsageError
+from eia_sec.common.errors import UsageError
 
 LATEST: Final = 2**53
 """Greatest number that is taken from a clock: microseconds since 1970, in the year 2255."""

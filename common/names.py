@@ -3,7 +3,7 @@
 import re
 from typing import Final
 
-from common.errors import ConfigError
+from eia_sec.common.errors import ConfigError
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,62}")
 """What a name looks like. It holds no separator, wildcard or control character, and is neither "." nor ".."."""

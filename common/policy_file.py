@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from common.actors import Head, TeamActors, actor_outputs, checked_head, parameter_count
-from common.errors import EiaSecError, PolicyError
-from common.gru import Memory, checked_memory
-from common.team import TeamSpec
+from eia_sec.common.actors import Head, TeamActors, actor_outputs, checked_head, parameter_count
+from eia_sec.common.errors import EiaSecError, PolicyError
+from eia_sec.common.gru import Memory, checked_memory
+from eia_sec.common.team import TeamSpec
 
 FORMAT: Final = "eia-sec policy 1"
 MAX_FILE_BYTES: Final = 256 * 2**20

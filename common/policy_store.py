@@ -1,11 +1,11 @@
 """A process's copy of the actors, updated by newer parameters and by imitation events."""
 
-from common.actors import TeamActors, checked_head, imitate
-from common.errors import VersionError
-from common.gru import checked_memory
-from common.imitation import ImitationEvent
-from common.protocol.messages import ParametersMessage
-from common.team import TeamSpec
+from eia_sec.common.actors import TeamActors, checked_head, imitate
+from eia_sec.common.errors import VersionError
+from eia_sec.common.gru import checked_memory
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.protocol.messages import ParametersMessage
+from eia_sec.common.team import TeamSpec
 
 
 class PolicyStore:

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Final
 
-from common.errors import BusError
-from common.protocol import keys
-from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
-from common.text import printable
-from common.transport.bus import Bus, Publisher
-from common.transport.endpoint import Endpoint
+from eia_sec.common.errors import BusError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
+from eia_sec.common.text import printable
+from eia_sec.common.transport.bus import Bus, Publisher
+from eia_sec.common.transport.endpoint import Endpoint
 
 LARGEST: Final = 2**63 - 1
 """Largest whole number that a metric message holds; larger sums are clamped to it."""

@@ -13,11 +13,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes
-from common.actions.descriptions import adapter_from_dict, adapter_to_dict
-from common.config.checks import within
-from common.errors import ConfigError, SchemaError
-from common.names import check_name
+from eia_sec.common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes
+from eia_sec.common.actions.descriptions import adapter_from_dict, adapter_to_dict
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import ConfigError, SchemaError
+from eia_sec.common.names import check_name
 
 Float32 = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ class GroupSpec:
     Gymnasium's Discrete (one branch) and MultiDiscrete (several).
 
     Attributes:
-        name: the type's name, for instance "communication"; see `common.names`.
+        name: the type's name, for instance "communication"; see `eia_sec.common.names`.
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation, o_v.
         action_size: numbers in one agent's action, a_v: each in [-1, 1], or the index of each branch's option.

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import SchemaError
-from common.gru import MOST_STATE
-from common.protocol import bfloat16
-from common.protocol.bfloat16 import Bits
-from common.team import Float32, TeamSpec
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.gru import MOST_STATE
+from eia_sec.common.protocol import bfloat16
+from eia_sec.common.protocol.bfloat16 import Bits
+from eia_sec.common.team import Float32, TeamSpec
 
 TRANSITION: Final = 1
 """Flag bit: a step follows this row, and the next row is its successor."""
@@ -40,8 +40,8 @@ class Rows:
     """Consecutive rows of one or more segments.
 
     Attributes:
-        observation: [R, O] float32, or bfloat16 numbers as uint16 (`common.protocol.bfloat16`) if the run says so
-            (`RunConfig.bfloat16_observations`), which halves messages and memory.
+        observation: [R, O] float32, or bfloat16 numbers as uint16 (`eia_sec.common.protocol.bfloat16`) if the run says
+            so (`RunConfig.bfloat16_observations`), which halves messages and memory.
         action: [R, A] float32 in [-1, 1], or indices of options; zeros where no step follows.
         reward: [R, agents] float32; zeros where no step follows.
         flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.

@@ -7,13 +7,13 @@ import os
 import signal
 import sys
 from dataclasses import dataclass
-from types import FrameType, ModuleType
+from types import FrameType
 from typing import Final, NoReturn
 
-from common.errors import UsageError
-from deploy.exit_codes import run_command
-from deploy.local.memory import keep_freed_memory
-from deploy.local.threads import thread_environment
+from eia_sec.common.errors import UsageError
+from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.local.memory import keep_freed_memory
+from eia_sec.deploy.local.threads import thread_environment
 
 
 @dataclass(frozen=True)
@@ -31,38 +31,44 @@ class Command:
 
 COMMANDS: Final = {
     "train": Command(
-        "deploy.commands.training.train", "train on this machine: learner, coordinator, workers, live view"
+        "eia_sec.deploy.commands.training.train", "train on this machine: learner, coordinator, workers, live view"
     ),
-    "learner": Command("deploy.commands.training.learner", "start the learner alone"),
-    "rollout": Command("deploy.commands.training.rollout", "start one rollout worker"),
-    "elite": Command("deploy.commands.training.elite", "start the elite coordinator"),
+    "learner": Command("eia_sec.deploy.commands.training.learner", "start the learner alone"),
+    "rollout": Command("eia_sec.deploy.commands.training.rollout", "start one rollout worker"),
+    "elite": Command("eia_sec.deploy.commands.training.elite", "start the elite coordinator"),
     "router": Command(
-        "deploy.commands.training.router", "start a router that learner, workers and monitors connect to"
+        "eia_sec.deploy.commands.training.router", "start a router that learner, workers and monitors connect to"
     ),
-    "evaluate": Command("deploy.commands.policies.evaluate", "evaluate a policy on farms that training never saw"),
+    "evaluate": Command(
+        "eia_sec.deploy.commands.policies.evaluate", "evaluate a policy on farms that training never saw"
+    ),
     "replay": Command(
-        "deploy.commands.policies.replay", "compare two policies on one farm: a film and their flight paths"
+        "eia_sec.deploy.commands.policies.replay", "compare two policies on one farm: a film and their flight paths"
     ),
-    "farm": Command("deploy.commands.policies.farm", "draw, save or check farms and files of sensor positions"),
-    "reproduce": Command("experiments.studies.command", "redo the paper's studies, with tables and plots"),
-    "export": Command("deploy.commands.policies.export", "export a run's actors as ONNX or plain tensors"),
-    "fly": Command("deploy.commands.policies.fly", "fly vehicles with trained actors: observations in, set-points out"),
-    "simulator": Command("deploy.commands.policies.simulator", "simulate the vehicles that eia-sec fly controls"),
-    "keys": Command("deploy.commands.fleet.keys", "make and renew the certificates that --tls needs"),
-    "audit": Command("deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),
-    "up": Command("deploy.commands.fleet.up", "start the processes of a fleet file on its hosts, over SSH"),
-    "down": Command("deploy.commands.fleet.down", "stop a fleet, workers first"),
-    "status": Command("deploy.commands.fleet.status", "show the processes of a fleet and their state"),
-    "logs": Command("deploy.commands.fleet.logs", "show the logs of a fleet"),
+    "farm": Command("eia_sec.deploy.commands.policies.farm", "draw, save or check farms and files of sensor positions"),
+    "export": Command("eia_sec.deploy.commands.policies.export", "export a run's actors as ONNX or plain tensors"),
+    "fly": Command(
+        "eia_sec.deploy.commands.policies.fly", "fly vehicles with trained actors: observations in, set-points out"
+    ),
+    "simulator": Command(
+        "eia_sec.deploy.commands.policies.simulator", "simulate the vehicles that eia-sec fly controls"
+    ),
+    "keys": Command("eia_sec.deploy.commands.fleet.keys", "make and renew the certificates that --tls needs"),
+    "audit": Command("eia_sec.deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),
+    "up": Command("eia_sec.deploy.commands.fleet.up", "start the processes of a fleet file on its hosts, over SSH"),
+    "down": Command("eia_sec.deploy.commands.fleet.down", "stop a fleet, workers first"),
+    "status": Command("eia_sec.deploy.commands.fleet.status", "show the processes of a fleet and their state"),
+    "logs": Command("eia_sec.deploy.commands.fleet.logs", "show the logs of a fleet"),
     "fleet": Command(
-        "deploy.commands.fleet.fleet", "check a fleet file, make keys, collect histories, render units and manifests"
+        "eia_sec.deploy.commands.fleet.fleet",
+        "check a fleet file, make keys, collect histories, render units and manifests",
     ),
-    "host": Command("deploy.commands.fleet.host", "internal: up, down, status and logs call it on each host"),
+    "host": Command("eia_sec.deploy.commands.fleet.host", "internal: up, down, status and logs call it on each host"),
     "alive": Command(
-        "deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
+        "eia_sec.deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),
-    "monitor": Command("deploy.commands.monitoring.monitor", "watch a run live in the terminal, read-only"),
-    "watch": Command("deploy.commands.monitoring.watch", "watch one worker's farm live in the browser"),
+    "monitor": Command("eia_sec.deploy.commands.monitoring.monitor", "watch a run live in the terminal, read-only"),
+    "watch": Command("eia_sec.deploy.commands.monitoring.watch", "watch one worker's farm live in the browser"),
 }
 
 
@@ -84,17 +90,7 @@ def dispatch(arguments: list[str]) -> int:
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
     keep_freed_memory()
-    return int(_load(arguments[0], command.module).command(arguments[1:]) or 0)
-
-
-def _load(word: str, module: str) -> ModuleType:
-    """Import a command's module; the studies are no part of the installed package."""
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name != module.partition(".")[0]:
-            raise
-        raise UsageError(f"eia-sec {word} needs a checkout of the source: the studies are not installed.") from error
+    return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:

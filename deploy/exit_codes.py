@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, TextIO
 
-from common.errors import CancelledError, EiaSecError, UsageError
-from common.text import printable_lines
-from deploy.output import FULL
+from eia_sec.common.errors import CancelledError, EiaSecError, UsageError
+from eia_sec.common.text import printable_lines
+from eia_sec.deploy.output import FULL
 
 DONE: Final = 0
 FAILED: Final = 1

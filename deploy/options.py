@@ -12,18 +12,18 @@ from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hin
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
-from common.config import RunConfig
-from common.config.algorithms import switched
-from common.config.effect import switched_off, without_effect
-from common.config.farm.sites import Sites
-from common.config.farm.stress import Areas
-from common.config.farm.zones import Zones
-from common.config.files import from_toml, with_setting
-from common.config.former import refuse_ablation
-from common.config.presets import preset
-from common.errors import ConfigError, UsageError
-from common.farm import require_farm
-from deploy.local.run_directory import RunDirectory
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.algorithms import switched
+from eia_sec.common.config.effect import switched_off, without_effect
+from eia_sec.common.config.farm.sites import Sites
+from eia_sec.common.config.farm.stress import Areas
+from eia_sec.common.config.farm.zones import Zones
+from eia_sec.common.config.files import from_toml, with_setting
+from eia_sec.common.config.former import refuse_ablation
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, UsageError
+from eia_sec.common.farm import require_farm
+from eia_sec.deploy.local.run_directory import RunDirectory
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
 
 def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
     """Return the configuration with the sensors and the field of a farm file; raise ConfigError for its mistakes."""
-    from rollout.farm_files import read_farm  # noqa: PLC0415  (loads the simulator, which most commands do without)
+    from eia_sec.rollout.farm_files import read_farm  # noqa: PLC0415  (loads the simulator, which most commands do without)
 
     return replace(config, farm=read_farm(path).on(require_farm(config, NO_FARM)))
 

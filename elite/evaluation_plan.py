@@ -1,7 +1,7 @@
 """The episodes on which an imitation event evaluates the actors."""
 
-from common.config import RunConfig
-from common.seeds import derive, stream
+from eia_sec.common.config import RunConfig
+from eia_sec.common.seeds import derive, stream
 
 
 def evaluation_plan(config: RunConfig, event: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

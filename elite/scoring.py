@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import EliteConfig
-from common.errors import SchemaError
-from common.imitation import ImitationEvent, ImitationSchedule
-from common.team import Float32, TeamSpec
+from eia_sec.common.config import EliteConfig
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
+from eia_sec.common.team import Float32, TeamSpec
 
 
 def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:

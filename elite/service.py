@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config.presets import read_saved
-from common.config.run import RunConfig
-from common.errors import BusClosedError, BusError, CancelledError, ProtocolError
-from common.imitation import ImitationEvent, ImitationSchedule
-from common.incarnation import new_incarnation
-from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
-from common.protocol import keys
-from common.protocol.epoch_fence import EpochFence
-from common.protocol.messages import (
+from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.run import RunConfig
+from eia_sec.common.errors import BusClosedError, BusError, CancelledError, ProtocolError
+from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
+from eia_sec.common.incarnation import new_incarnation
+from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.epoch_fence import EpochFence
+from eia_sec.common.protocol.messages import (
     CommandMessage,
     Envelope,
     EvaluationOrder,
@@ -24,11 +24,11 @@ from common.protocol.messages import (
     ProgressMessage,
     ReceiptMessage,
 )
-from common.team import Float32, TeamSpec
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint
-from elite.evaluation_plan import evaluation_plan
-from elite.scoring import decide
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.elite.evaluation_plan import evaluation_plan
+from eia_sec.elite.scoring import decide
 
 ANSWER_SECONDS = 30.0
 """Initial time limit for a worker's evaluation; after it, the worker's farms go to other workers."""

@@ -29,12 +29,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.team import TeamSpec
-from common.transitions import TERMINATED, TRANSITION
-from learner.checkpoint.trainer_state import checked_tensors
-from learner.data.index_set import Places
-from learner.data.replay import Replay
-from learner.engine import Diagnostics
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION
+from eia_sec.learner.checkpoint.trainer_state import checked_tensors
+from eia_sec.learner.data.index_set import Places
+from eia_sec.learner.data.replay import Replay
+from eia_sec.learner.engine import Diagnostics
 
 NAMES: Final = (
     "critic_loss",

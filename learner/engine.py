@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.actors import TeamActors
-from common.config import OffPolicyConfig
-from common.seeds import stream
-from common.team import Float32, TeamSpec
-from learner.algorithms import ALGORITHMS
-from learner.algorithms.base import Batch, Diagnostics
-from learner.networks.compiled_pass import usable_cores
-from learner.networks.cuda_graphs import Graphs
-from learner.networks.normalisation import Normalisation
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import OffPolicyConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.algorithms.base import Batch, Diagnostics
+from eia_sec.learner.networks.compiled_pass import usable_cores
+from eia_sec.learner.networks.cuda_graphs import Graphs
+from eia_sec.learner.networks.normalisation import Normalisation
 
 __all__ = ["Batch", "Diagnostics", "Engine"]
 
@@ -96,11 +96,11 @@ class Engine:
             self.normalisation.add(observation, reward)
 
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
-        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`."""
+        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`."""
         self.algorithm.actors.load(self.normalisation.fold(flat, self.config.hidden, out=False))
 
     def export_actors(self) -> tuple[Float32, ...]:
-        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`.
+        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`.
 
         They take raw observations; the running statistics are folded into their first layers.
         """

@@ -7,7 +7,7 @@ event is a whole cycle late, the learner accepts no new experience until the eve
 
 from typing import Final
 
-from common.imitation import ImitationSchedule
+from eia_sec.common.imitation import ImitationSchedule
 
 HOLD_SECONDS: Final = 20.0
 """Longest wait for one event; less than the time after which workers send a request again."""

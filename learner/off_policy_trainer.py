@@ -5,12 +5,12 @@ from typing import Any, Final
 
 from torch import Tensor
 
-from common.actors import TeamActors
-from common.config import RunConfig
-from common.seeds import stream
-from common.team import Float32, TeamSpec
-from common.transitions import TRANSITION, Chunk
-from learner.checkpoint.trainer_state import (
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import TRANSITION, Chunk
+from eia_sec.learner.checkpoint.trainer_state import (
     checked_tensors,
     counter,
     finite,
@@ -19,11 +19,11 @@ from learner.checkpoint.trainer_state import (
     require_moments,
     restored_random,
 )
-from learner.data.replay import LARGE, SMALL, Replay
-from learner.data.tensor_snapshot import Frozen
-from learner.diagnostics import RETURN_PERIOD, SHARE, RunningDiagnostics, newest_returns
-from learner.engine import Diagnostics, Engine
-from learner.trainer import Trainer, flushed_denormals
+from eia_sec.learner.data.replay import LARGE, SMALL, Replay
+from eia_sec.learner.data.tensor_snapshot import Frozen
+from eia_sec.learner.diagnostics import RETURN_PERIOD, SHARE, RunningDiagnostics, newest_returns
+from eia_sec.learner.engine import Diagnostics, Engine
+from eia_sec.learner.trainer import Trainer, flushed_denormals
 
 DIAGNOSTIC_PERIOD: Final = 16
 """Every this many updates, an update returns diagnostics."""

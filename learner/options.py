@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.team import Float32
-from common.transport.endpoint import Endpoint
+from eia_sec.common.team import Float32
+from eia_sec.common.transport.endpoint import Endpoint
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ for how many updates are due, and how far collection may lead them, is `updates_
 import time
 from typing import Final, Protocol
 
-from common.config import RunConfig
-from common.imitation import ImitationSchedule
-from learner.event_deadline import EventDeadline
+from eia_sec.common.config import RunConfig
+from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.learner.event_deadline import EventDeadline
 
 PROGRESS_SECONDS: Final = 0.1
 REPORT_SECONDS: Final = 1.0

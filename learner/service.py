@@ -6,37 +6,37 @@ from typing import Final
 
 import torch
 
-from common.config import RunConfig
-from common.config.files import to_toml
-from common.environment import EnvironmentSpec
-from common.errors import BusError, EiaSecError, UsageError
-from common.history.history import History
-from common.imitation import ImitationEvent
-from common.process import Presence, StopSignal, connect
-from common.protocol import keys
-from common.protocol.codec import NO_LIMIT
-from common.protocol.messages import ConfigurationMessage
-from common.team import TeamSpec
-from common.transport.admission import AdmissionSource
-from common.transport.bus import Bus
-from learner.checkpoint.compaction import HistoryCompaction
-from learner.checkpoint.recovery import last_epoch, recover_losses
-from learner.checkpoint.storage import RunStorage
-from learner.control.command_server import CommandServer
-from learner.control.epoch import SuccessorWatch, next_epoch
-from learner.control.imitation_server import ImitationServer
-from learner.control.parameter_publisher import ParameterPublisher
-from learner.intake.chunk_rules import ChunkRules
-from learner.intake.feed import ExperienceFeed
-from learner.intake.ledger import Ledger
-from learner.intake.limits import IntakeLimits
-from learner.intake.receiver import Receiver
-from learner.options import LearnerOptions
-from learner.reporting.phase_times import PhaseTimes
-from learner.reporting.reporter import Reporter
-from learner.schedule import Schedule
-from learner.trainers import make_trainer
-from learner.warm_up import warm_up
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import BusError, EiaSecError, UsageError
+from eia_sec.common.history.history import History
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.process import Presence, StopSignal, connect
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.common.protocol.messages import ConfigurationMessage
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transport.admission import AdmissionSource
+from eia_sec.common.transport.bus import Bus
+from eia_sec.learner.checkpoint.compaction import HistoryCompaction
+from eia_sec.learner.checkpoint.recovery import last_epoch, recover_losses
+from eia_sec.learner.checkpoint.storage import RunStorage
+from eia_sec.learner.control.command_server import CommandServer
+from eia_sec.learner.control.epoch import SuccessorWatch, next_epoch
+from eia_sec.learner.control.imitation_server import ImitationServer
+from eia_sec.learner.control.parameter_publisher import ParameterPublisher
+from eia_sec.learner.intake.chunk_rules import ChunkRules
+from eia_sec.learner.intake.feed import ExperienceFeed
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.receiver import Receiver
+from eia_sec.learner.options import LearnerOptions
+from eia_sec.learner.reporting.phase_times import PhaseTimes
+from eia_sec.learner.reporting.reporter import Reporter
+from eia_sec.learner.schedule import Schedule
+from eia_sec.learner.trainers import make_trainer
+from eia_sec.learner.warm_up import warm_up
 
 HISTORY: Final = Path("history", "learner.jsonl")
 """Path of the learner's history of chunks in the run directory."""

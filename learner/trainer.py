@@ -1,6 +1,6 @@
 """The training of a run, without communication: experience in, updates, actors out.
 
-    trainer = make_trainer(config, team)                    # learner.trainers
+    trainer = make_trainer(config, team)                    # eia_sec.learner.trainers
     while trainer.episodes < config.episodes:
         trainer.absorb(chunk, version)
         trainer.train(trainer.updates_due())
@@ -19,15 +19,15 @@ from typing import Any, ClassVar, Final
 import torch
 from torch import Tensor
 
-from common.actors import TeamActors, imitate
-from common.config import RunConfig
-from common.errors import SchemaError
-from common.imitation import ImitationEvent
-from common.team import Float32, TeamSpec
-from common.transitions import Chunk, EpisodeSummary
-from learner.checkpoint.trainer_state import counter, current_names, episode_record, episode_summaries
-from learner.data.tensor_snapshot import Frozen, whole
-from learner.networks.device import usable_device
+from eia_sec.common.actors import TeamActors, imitate
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import Chunk, EpisodeSummary
+from eia_sec.learner.checkpoint.trainer_state import counter, current_names, episode_record, episode_summaries
+from eia_sec.learner.data.tensor_snapshot import Frozen, whole
+from eia_sec.learner.networks.device import usable_device
 
 COUNTERS: Final = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES: Final = 100
@@ -101,7 +101,7 @@ class Trainer(ABC):
 
     @abstractmethod
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
-        """Replace the actors' parameters, [n_v or 1, P_v] for each type in the order of `common.actors`."""
+        """Replace the actors' parameters, [n_v or 1, P_v] for each type in the order of `eia_sec.common.actors`."""
 
     def begin_with(self, start: Sequence[Float32 | None]) -> None:
         """Replace the parameters of fresh actors, [n_v or 1, P_v] for each type; None keeps a type's own."""

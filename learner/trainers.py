@@ -1,10 +1,10 @@
 """Makes the trainer that a run's algorithm needs."""
 
-from common.config import RunConfig
-from common.team import TeamSpec
-from learner.off_policy_trainer import OffPolicyTrainer
-from learner.on_policy.trainer import OnPolicyTrainer
-from learner.trainer import Trainer
+from eia_sec.common.config import RunConfig
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.learner.trainer import Trainer
 
 
 def make_trainer(config: RunConfig, team: TeamSpec) -> Trainer:

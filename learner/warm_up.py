@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from common.config import RunConfig
-from common.team import TeamSpec
-from common.transitions import TRANSITION, Chunk, Rows
-from learner.algorithms import ALGORITHMS
-from learner.off_policy_trainer import OffPolicyTrainer
-from learner.on_policy.advantages import advantages
+from eia_sec.common.config import RunConfig
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import TRANSITION, Chunk, Rows
+from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.on_policy.advantages import advantages
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:

@@ -8,17 +8,17 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, RunConfig
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError
-from common.seeds import derive
-from common.team import TeamSpec
-from common.transitions import EpisodeSummary
-from rollout.envs.base import Environments
-from rollout.envs.registry import make_environments
-from rollout.heuristics.farms import make_farms
-from rollout.policies import BatchPolicy, Policy
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import FarmConfig, RunConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.seeds import derive
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.envs.base import Environments
+from eia_sec.rollout.envs.registry import make_environments
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.policies import BatchPolicy, Policy
+from eia_sec.rollout.sim.batch import FarmBatch
 
 BATCH: Final = 32
 """Episodes in one batch; results do not depend on it."""

@@ -15,17 +15,17 @@ from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
-from common.actors import TeamActors, can_fly
-from common.config import FarmConfig, RunConfig
-from common.errors import PolicyError
-from common.farm import farm_of, farm_team
-from common.policy_file import load_policy
-from common.team import Float32, TeamSpec
-from rollout.envs.base import Environments
-from rollout.heuristics.random import RandomPolicy
-from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
-from rollout.shipped_policies import SHIPPED, is_file, shipped_file
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actors import TeamActors, can_fly
+from eia_sec.common.config import FarmConfig, RunConfig
+from eia_sec.common.errors import PolicyError
+from eia_sec.common.farm import farm_of, farm_team
+from eia_sec.common.policy_file import load_policy
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.rollout.envs.base import Environments
+from eia_sec.rollout.heuristics.random import RandomPolicy
+from eia_sec.rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
+from eia_sec.rollout.shipped_policies import SHIPPED, is_file, shipped_file
+from eia_sec.rollout.sim.batch import FarmBatch
 
 World_contra = TypeVar("World_contra", contravariant=True)
 
@@ -106,7 +106,7 @@ def trained_policy(path: Path, config: FarmConfig) -> Policy:
 
 
 POLICIES: Final = (*HEURISTICS, *SHIPPED)
-"""The names of all policies; `rollout.heuristics.registry` lists the heuristics."""
+"""The names of all policies; `eia_sec.rollout.heuristics.registry` lists the heuristics."""
 
 REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
 """Policies that a run's report compares with. Heuristics that plan ahead take minutes, so they are left out."""

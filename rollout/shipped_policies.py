@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from common.errors import PolicyError
+from eia_sec.common.errors import PolicyError
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
 TRAINED: Final = _SHIPPED / "default.safetensors"

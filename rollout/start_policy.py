@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from common.actors import TeamActors, actor_outputs, acts_alike, parameter_count
-from common.config import OnPolicyConfig, RunConfig
-from common.config.presets import preset, read_saved
-from common.errors import ConfigError, PolicyError
-from common.farm import farm_environment, farm_of
-from common.names import NAME
-from common.policy_file import load_policy
-from common.team import Float32, GroupSpec, TeamSpec
-from rollout.shipped_policies import SHIPPED, is_file, policy_path, preset_of
+from eia_sec.common.actors import TeamActors, actor_outputs, acts_alike, parameter_count
+from eia_sec.common.config import OnPolicyConfig, RunConfig
+from eia_sec.common.config.presets import preset, read_saved
+from eia_sec.common.errors import ConfigError, PolicyError
+from eia_sec.common.farm import farm_environment, farm_of
+from eia_sec.common.names import NAME
+from eia_sec.common.policy_file import load_policy
+from eia_sec.common.team import Float32, GroupSpec, TeamSpec
+from eia_sec.rollout.shipped_policies import SHIPPED, is_file, policy_path, preset_of
 
 MISFIT: Final = (
     'Observations, actions or networks differ. Leave the option empty ("") to begin with fresh actors, '

@@ -28,7 +28,7 @@ PACKAGES = {
 NOT_OURS = {".git", ".venv", ".venvs", "runs", "dist", "build", "__pycache__"}
 SOURCE_FILES = sorted(
     path.relative_to(ROOT).as_posix()
-    for folder in (*PACKAGES, "tests", "experiments", "benchmarks")
+    for folder in (*PACKAGES, "tests", "research")
     for path in (ROOT / folder).rglob("*.py")
     if ".venvs" not in path.parts
 )
@@ -71,6 +71,12 @@ def top_levels(module: ast.AST) -> set[str]:
     return {name.split(".")[0] for name in imports(module)}
 
 
+def our_packages(module: ast.AST) -> set[str]:
+    """Return which of our five packages, of the laboratory and of the tests a module imports."""
+    ours = {name.split(".")[1] for name in imports(module) if name.startswith("eia_sec.")}
+    return ours & set(PACKAGES) | top_levels(module) & {"tests", "research"}
+
+
 def pickles(module: ast.AST) -> list[str]:
     """Return every use of pickle and its kin in a module."""
     found = sorted(top_levels(module) & FORBIDDEN_MODULES)
@@ -100,8 +106,7 @@ def run(*arguments: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str
 def test_import_direction(name):
     """Common imports none of ours; rollout, learner and elite only common; none imports tests or scripts."""
     package = name.split("/")[0]
-    ours = {*PACKAGES, "tests", "experiments", "benchmarks"}
-    assert top_levels(tree(name)) & ours <= PACKAGES[package]
+    assert our_packages(tree(name)) <= PACKAGES[package]
     assert not [node for node in ast.walk(tree(name)) if isinstance(node, ast.ImportFrom) and node.level]
 
 
@@ -119,7 +124,7 @@ def test_imports_are_declared_dependencies(name):
     extras = {name: texts for name, texts in project["optional-dependencies"].items() if name != "dev"}
     texts = [*project["dependencies"], *(text for group in extras.values() for text in group)]
     declared = {re.split(r"[<>=!~\[; ]", text)[0].lower() for text in texts}
-    foreign = top_levels(tree(name)) - set(sys.stdlib_module_names) - set(PACKAGES)
+    foreign = top_levels(tree(name)) - set(sys.stdlib_module_names) - {"eia_sec"}
     assert {module for module in foreign if not declared.intersection(providers()[module])} == set()
 
 
@@ -211,10 +216,10 @@ def test_checkers_pass(command):
 
 
 def test_mypy_is_strict_for_every_package():
-    """The type checker is strict, and it covers exactly the five packages."""
+    """The type checker is strict, and it covers everything that is installed."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
     assert settings["strict"] is True
-    assert set(settings["packages"]) == set(PACKAGES)
+    assert settings["packages"] == ["eia_sec"]
 
 
 def test_no_machine_path_and_no_registry_host():
@@ -236,15 +241,17 @@ def test_no_machine_path_and_no_registry_host():
     assert found == []
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_other_distribution_ships_our_package_names(package):
-    """The name imports our package, and no other installed distribution ships a package of that name."""
-    assert set(providers().get(package, [])) <= {"eia-sec"}
-    assert Path(importlib.util.find_spec(package).origin).parent == ROOT / package
+def test_one_import_name_leads_to_the_five_folders():
+    """`eia_sec` is this checkout's, its folders are those at the top, and no other name is on the path."""
+    assert set(providers().get("eia_sec", [])) <= {"eia-sec"}
+    for package in PACKAGES:
+        origin = importlib.util.find_spec(f"eia_sec.{package}").origin
+        assert Path(origin).resolve().parent == ROOT / package
+        assert "eia-sec" not in providers().get(package, [])
 
 
 def test_wheel_holds_the_packages_and_nothing_else(tmp_path):
-    """The wheel holds every file of the five packages, py.typed, the licence and the command, and nothing else."""
+    """The wheel holds `eia_sec` with every file of the five folders, the licence and the command, and nothing else."""
     result = run("hatchling", "build", "-t", "wheel", "-d", str(tmp_path))
     assert result.returncode == 0, result.stderr
     (wheel,) = tmp_path.glob("*.whl")
@@ -252,16 +259,15 @@ def test_wheel_holds_the_packages_and_nothing_else(tmp_path):
         names = set(archive.namelist())
         (commands,) = (archive.read(name).decode() for name in names if name.endswith("/entry_points.txt"))
     metadata = {name for name in names if name.split("/")[0].endswith(".dist-info")}
-    sources = {
-        path.relative_to(ROOT).as_posix()
+    sources = {"eia_sec/__init__.py", "eia_sec/py.typed"} | {
+        f"eia_sec/{path.relative_to(ROOT).as_posix()}"
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert names - metadata == sources
-    assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert any(name.endswith("/licenses/LICENSE") for name in metadata)
-    assert "eia-sec = deploy.cli:main" in commands
+    assert "eia-sec = eia_sec.deploy.cli:main" in commands
 
 
 def test_unknown_marker_is_refused(tmp_path):

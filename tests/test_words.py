@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = ("common", "rollout", "learner", "elite", "deploy", "experiments", "benchmarks", "tests", "docs")
+FOLDERS = ("common", "rollout", "learner", "elite", "deploy", "research", "tests", "docs")
 MOST_MODULES = 15
 """Python modules on a folder's own floor, its __init__ left out."""
 
@@ -82,7 +82,7 @@ def ours(*endings: str) -> list[str]:
         for name in listed.stdout.splitlines()
         if name.endswith(endings)
         and (name.split("/")[0] in FOLDERS or name == "README.md")
-        and not name.startswith("docs/results/")
+        and not name.startswith("research/results/")
         and name != "tests/test_words.py"
         and (ROOT / name).exists()
     ]
@@ -114,7 +114,7 @@ def test_pages_use_the_words_of_the_field():
     hits = [
         f"{name}:{number}: {match[0]}"
         for name in ours(".md")
-        if name != "experiments/LOG.md"
+        if name != "research/LOG.md"
         for number, line in enumerate((ROOT / name).read_text().splitlines(), 1)
         for match in PROSE.finditer(line)
     ]

@@ -1,12 +1,12 @@
 """Adapters convert an actor's output to the environment's action.
 
-`common.team.GroupSpec` lists the adapters of a type of agent. They are applied one after another; without any, the
-output is the action. Replay stores the actor's output, and the environment gets the adapted action. Workers,
+`eia_sec.common.team.GroupSpec` lists the adapters of a type of agent. They are applied one after another; without any,
+the output is the action. Replay stores the actor's output, and the environment gets the adapted action. Workers,
 evaluation, exported models and flight nodes all read the adapters from the team's description, so they act alike.
 
 An adapter is a frozen dataclass with the members of `ActionAdapter`. A new one also needs an entry in
-`common.actions.descriptions` and its nodes in `deploy.policies.onnx_actions`. It may read anything in the agent's own
-observation, for instance a mask of allowed actions.
+`eia_sec.common.actions.descriptions` and its nodes in `eia_sec.deploy.policies.onnx_actions`. It may read anything in
+the agent's own observation, for instance a mask of allowed actions.
 """
 
 import math
@@ -18,8 +18,8 @@ from typing import Any, ClassVar, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config.checks import within
-from common.errors import ConfigError
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import ConfigError
 
 Float32 = NDArray[np.float32]
 

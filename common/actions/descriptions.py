@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
-from common.actions.adapters import HINT, LATER, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
-from common.errors import ConfigError
+from eia_sec.common.actions.adapters import HINT, LATER, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.errors import ConfigError
 
 ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
     Lattice.kind: Lattice,

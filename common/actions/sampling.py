@@ -8,7 +8,7 @@ A Gaussian head samples a = tanh(m + s n) with standard normal n. Its log-probab
 N(m, s^2), without the term of the tanh: that term depends on the action only, and cancels in every ratio of two
 policies. x is computed from the stored a, as learners do, so that both sides agree.
 
-`learner.on_policy.distributions` computes the same numbers with gradients.
+`eia_sec.learner.on_policy.distributions` computes the same numbers with gradients.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from common.team import Float32, GroupSpec
+from eia_sec.common.team import Float32, GroupSpec
 
 LARGEST_ACTION: Final = 1.0 - 1e-6
 """Largest magnitude of a squashed action whose artanh is computed; it is about 7."""

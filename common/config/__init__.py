@@ -1,6 +1,6 @@
 """Frozen configuration dataclasses; every field has a docstring with unit and symbol."""
 
-from common.config.algorithms import (
+from eia_sec.common.config.algorithms import (
     ALGORITHM_CONFIGS,
     AlgorithmConfig,
     BaselineConfig,
@@ -14,8 +14,8 @@ from common.config.algorithms import (
     OffPolicyConfig,
     OnPolicyConfig,
 )
-from common.config.environment import EnvConfig
-from common.config.farm import (
+from eia_sec.common.config.environment import EnvConfig
+from eia_sec.common.config.farm import (
     BatteryConfig,
     CameraConfig,
     EnergyConfig,
@@ -26,13 +26,13 @@ from common.config.farm import (
     StressConfig,
     WorldConfig,
 )
-from common.config.farm.control import ControlConfig
-from common.config.farm.failures import FailureConfig
-from common.config.farm.observation import ObservationConfig
-from common.config.farm.wind import WindConfig
-from common.config.farm.zones import ZoneConfig
-from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
-from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
+from eia_sec.common.config.farm.control import ControlConfig
+from eia_sec.common.config.farm.failures import FailureConfig
+from eia_sec.common.config.farm.observation import ObservationConfig
+from eia_sec.common.config.farm.wind import WindConfig
+from eia_sec.common.config.farm.zones import ZoneConfig
+from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
+from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
 __all__ = [
     "ALGORITHM_CONFIGS",

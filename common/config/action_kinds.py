@@ -1,6 +1,6 @@
 """Which algorithms can train discrete actions."""
 
-from common.config.algorithms import ALGORITHM_CONFIGS
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS
 
 
 def discrete_algorithms() -> tuple[str, ...]:

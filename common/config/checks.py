@@ -5,7 +5,7 @@ Each check is one chain of comparisons: false for NaN, and right for integers of
 
 import math
 
-from common.errors import ConfigError
+from eia_sec.common.errors import ConfigError
 
 
 def positive(**values: float) -> None:

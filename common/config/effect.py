@@ -4,9 +4,9 @@ from dataclasses import fields
 from operator import attrgetter
 from typing import Final
 
-from common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
-from common.config.environment import FARM
-from common.config.run import RunConfig
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
+from eia_sec.common.config.environment import FARM
+from eia_sec.common.config.run import RunConfig
 
 SWITCHES: Final = (
     ("algorithm.ensemble_", "algorithm.ensemble", False),

@@ -4,8 +4,8 @@ import json
 from dataclasses import dataclass
 from typing import Any, Final
 
-from common.config.checks import within
-from common.errors import ConfigError
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import ConfigError
 
 FARM: Final = "farm"
 """Name of the farm, which FarmConfig configures."""

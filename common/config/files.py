@@ -15,15 +15,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from common.config.algorithms import ALGORITHM_CONFIGS, switched
-from common.config.effect import without_effect
-from common.config.farm.polygons import MAX_CORNERS
-from common.config.farm.sites import MAX_SENSORS, Sites
-from common.config.farm.stress import MAX_AREAS, Area, Areas
-from common.config.farm.zones import MAX_ZONES, Zones
-from common.config.former import refuse_ablation, upgraded
-from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
-from common.errors import ConfigError
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, switched
+from eia_sec.common.config.effect import without_effect
+from eia_sec.common.config.farm.polygons import MAX_CORNERS
+from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites
+from eia_sec.common.config.farm.stress import MAX_AREAS, Area, Areas
+from eia_sec.common.config.farm.zones import MAX_ZONES, Zones
+from eia_sec.common.config.former import refuse_ablation, upgraded
+from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RunConfig
+from eia_sec.common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Final
 
-from common.config.ablations import ABLATIONS
-from common.config.algorithms import ALGORITHM_CONFIGS
-from common.errors import ConfigError
+from eia_sec.common.config.ablations import ABLATIONS
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS
+from eia_sec.common.errors import ConfigError
 
 _OF_ALL: Final = {"ensemble_members", "actor_delay", "temperature"}
 """Options of different algorithms; only a complete file of an earlier version has all of them."""

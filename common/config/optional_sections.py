@@ -1,13 +1,13 @@
 """Elite imitation, the replay buffer and exploration: sections that an algorithm may read, see OPTIONAL_SECTIONS.
 
-Learning rates and other options of the algorithms are in `common.config.algorithms`.
+Learning rates and other options of the algorithms are in `eia_sec.common.config.algorithms`.
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
-from common.config.checks import finite, not_negative, within
-from common.errors import ConfigError
+from eia_sec.common.config.checks import finite, not_negative, within
+from eia_sec.common.errors import ConfigError
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ it. docs/reference/configuration.md lists each option's value in each preset.
 from pathlib import Path
 from typing import Final
 
-from common.config.ablations import ABLATIONS
-from common.config.files import from_saved, from_toml, with_values
-from common.config.run import RunConfig
-from common.errors import ConfigError
+from eia_sec.common.config.ablations import ABLATIONS
+from eia_sec.common.config.files import from_saved, from_toml, with_values
+from eia_sec.common.config.run import RunConfig
+from eia_sec.common.errors import ConfigError
 
 QUICK: Final = """
 episodes = 1200
@@ -254,7 +254,7 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "paper": from_toml(PAPER, _EIA_SEC),
     **{name: with_values(_EIA_SEC, changes) for name, changes in ABLATIONS.items()},
 }
-"""Every preset by name; those of `common.config.ablations` are `eia-sec` with a part switched off."""
+"""Every preset by name; those of `eia_sec.common.config.ablations` are `eia-sec` with a part switched off."""
 SAVED: Final = "study"
 """The preset that completes configurations saved by older versions: it holds the values of keys that they lack."""
 
@@ -273,6 +273,6 @@ def read_saved(source: str | Path) -> RunConfig:
         source: TOML text, or the path of a file that holds it.
 
     Raises:
-        ConfigError: see `common.config.files.from_toml`.
+        ConfigError: see `eia_sec.common.config.files.from_toml`.
     """
     return from_saved(source, PRESETS[SAVED])

@@ -4,13 +4,19 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
-from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, IppoConfig, OffPolicyConfig, OnPolicyConfig
-from common.config.algorithms.on_policy import Memory
-from common.config.checks import not_negative, positive, within
-from common.config.environment import EnvConfig
-from common.config.farm import FarmConfig
-from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
-from common.errors import ConfigError
+from eia_sec.common.config.algorithms import (
+    OPTIONAL_SECTIONS,
+    AlgorithmConfig,
+    IppoConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+)
+from eia_sec.common.config.algorithms.on_policy import Memory
+from eia_sec.common.config.checks import not_negative, positive, within
+from eia_sec.common.config.environment import EnvConfig
+from eia_sec.common.config.farm import FarmConfig
+from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
+from eia_sec.common.errors import ConfigError
 
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
 

@@ -9,7 +9,8 @@ One JSON array per line:
     ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
 The fourth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
-`produced` and `flown` are the worker's counts including the last of them (see `common.protocol.messages.ChunkMessage`).
+`produced` and `flown` are the worker's counts including the last of them (see
+`eia_sec.common.protocol.messages.ChunkMessage`).
 
 A worker writes *produced* for each chunk, and then the learner's answer: *acknowledged*, *repeated* (the learner had it
 already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
@@ -18,7 +19,7 @@ again for *produced*, *acknowledged* and *repeated*.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
 The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
-learner keeps only totals of chunks that are in every checkpoint (`common.history.summary`).
+learner keeps only totals of chunks that are in every checkpoint (`eia_sec.common.history.summary`).
 """
 
 import json
@@ -30,7 +31,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from common.names import is_name
+from eia_sec.common.names import is_name
 
 REWRITE_LINES: Final = 20_000
 """Number of lines after which the file is rewritten, with consecutive chunks joined."""

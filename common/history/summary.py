@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from common.history.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
+from eia_sec.common.history.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
 
 MOST_STARTS: Final = 64
 """Most starts of a worker that have a line each; older starts share one line."""

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from common.protocol import keys
-from common.protocol.keys import KeyFamily
-from common.transport.credentials import Identity
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.keys import KeyFamily
+from eia_sec.common.transport.credentials import Identity
 
 NAME: Final = "{name}"
 """Placeholder for the name in the holder's certificate."""

@@ -6,7 +6,7 @@ They have a float32's range and 8 bits of precision.
 import numpy as np
 from numpy.typing import NDArray
 
-from common.team import Float32
+from eia_sec.common.team import Float32
 
 Bits = NDArray[np.uint16]
 

@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from common.errors import FrameError, SchemaError, VersionError
-from common.protocol.frame import Data, length
-from common.protocol.messages import ChunkMessage, DeliveryMessage
-from common.team import TeamSpec
-from common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.common.errors import FrameError, SchemaError, VersionError
+from eia_sec.common.protocol.frame import Data, length
+from eia_sec.common.protocol.messages import ChunkMessage, DeliveryMessage
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_CHUNKS: Final = 64
 """Most chunks in one delivery."""

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Final, Self, Union, get_args, get_origin, get_
 
 import numpy as np
 
-from common.errors import SchemaError
-from common.protocol import frame
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol import frame
 
 NO_LIMIT: Final = 2**63 - 1
 """The largest integer of a field; as a limit it means that there is none."""

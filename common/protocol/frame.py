@@ -19,7 +19,7 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from common.errors import FrameError, SchemaError, VersionError
+from eia_sec.common.errors import FrameError, SchemaError, VersionError
 
 PROTOCOL: Final = 5
 """Version of the protocol; every key contains it."""

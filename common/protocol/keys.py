@@ -26,9 +26,9 @@ import re
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from common.errors import KeyExpressionError
-from common.names import check_name, is_name
-from common.protocol.frame import PROTOCOL
+from eia_sec.common.errors import KeyExpressionError
+from eia_sec.common.names import check_name, is_name
+from eia_sec.common.protocol.frame import PROTOCOL
 
 ROOT: Final = f"eia-sec/v{PROTOCOL}"
 """Every key begins with this and the run's name."""
@@ -47,7 +47,7 @@ class KeyFamily:
         delivery: see the module's docstring.
         sender: who publishes or asks.
         receiver: who reads or answers.
-        messages: names of the message types in `common.protocol.messages` that it carries, answers last.
+        messages: names of the message types in `eia_sec.common.protocol.messages` that it carries, answers last.
         pace: how often messages are sent.
     """
 

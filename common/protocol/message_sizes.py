@@ -3,12 +3,12 @@
 import math
 from typing import Final
 
-from common.actors import actor_outputs, parameter_count
-from common.config import RunConfig
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError
-from common.protocol.frame import MAX_FRAME
-from common.team import TeamSpec
+from eia_sec.common.actors import actor_outputs, parameter_count
+from eia_sec.common.config import RunConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.protocol.frame import MAX_FRAME
+from eia_sec.common.team import TeamSpec
 
 ROOM: Final = 2**20
 """Bytes of a frame reserved for everything but rows and parameters."""

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from common.imitation import ImitationEvent
-from common.protocol.bfloat16 import Bits
-from common.protocol.codec import NO_LIMIT, Message
-from common.protocol.frame import MAX_HEADER
-from common.team import Float32
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.protocol.bfloat16 import Bits
+from eia_sec.common.protocol.codec import NO_LIMIT, Message
+from eia_sec.common.protocol.frame import MAX_HEADER
+from eia_sec.common.team import Float32
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ChunkMessage(Message):
         team: digest of the team layout.
         version: parameter version of the actors that produced the rows.
         produced: environment steps that this incarnation has produced, this chunk included.
-        observation, action, reward, flag: the rows, see `common.transitions.Rows`.
+        observation, action, reward, flag: the rows, see `eia_sec.common.transitions.Rows`.
         log_probability, state: likewise; for None, [R, 0] and left out.
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
@@ -99,8 +99,8 @@ class ParametersMessage(Message):
         team: digest of the team layout.
         hidden: width of the hidden layers.
         head: kind of the last layer, deterministic or gaussian.
-        flat: for each type, [n_v, P_v] float32, or [1, P_v] where agents share them, see `common.actors`.
-        memory: kind of memory, see `common.gru`; left out for actors without memory.
+        flat: for each type, [n_v, P_v] float32, or [1, P_v] where agents share them, see `eia_sec.common.actors`.
+        memory: kind of memory, see `eia_sec.common.gru`; left out for actors without memory.
     """
 
     KIND = 4
@@ -142,7 +142,7 @@ class ProgressMessage(Message):
 
 @dataclass(frozen=True)
 class CommandMessage(Message):
-    """A command for the learner; its key ends in one of `common.protocol.keys.VERBS`."""
+    """A command for the learner; its key ends in one of `eia_sec.common.protocol.keys.VERBS`."""
 
     KIND = 6
     sender: str
@@ -155,7 +155,7 @@ class ConfigurationMessage(Message):
     Attributes:
         epoch: the learner's fencing epoch.
         toml: the run's configuration.
-        team: the team's layout, see `common.team.TeamSpec.to_dict`.
+        team: the team's layout, see `eia_sec.common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
         newest_incarnation: greatest incarnation that the learner knows of the asking worker, or 0.
     """
@@ -215,7 +215,7 @@ class EvaluationResult(Message):
 
 @dataclass(frozen=True)
 class ImitationMessage(Message):
-    """One imitation event (see `common.imitation.ImitationEvent`) and the epoch of the learner that it is for.
+    """One imitation event (see `eia_sec.common.imitation.ImitationEvent`) and the epoch of the learner that it is for.
 
     Attributes:
         epoch: the learner's fencing epoch.
@@ -257,7 +257,7 @@ class MetricMessage(Message):
         host: the machine's name.
         pid: process id.
         uptime: seconds since the process joined the run.
-        values: metrics by name, see `common.protocol.metrics`; numbers, strings, and lists and maps of them.
+        values: metrics by name, see `eia_sec.common.protocol.metrics`; numbers, strings, and lists and maps of them.
     """
 
     KIND, MOST_HEADER = 12, 256 * 1024
@@ -344,7 +344,7 @@ class WatchTerms(Message):
 
 @dataclass(frozen=True)
 class ViewMessage(Message):
-    """Consecutive steps of one of a worker's farms, one frame each; checked by `common.protocol.view_checks`.
+    """Consecutive steps of one of a worker's farms, one frame each; checked by `eia_sec.common.protocol.view_checks`.
 
     Attributes:
         farm: the farm's seed.
@@ -391,7 +391,7 @@ class DeliveryMessage(Message):
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.
         flown: environment steps in whole chunks that this incarnation had simulated by then, its spool included.
-        sizes: bytes of each chunk's frame; see `common.protocol.chunk_messages` for how many and how large.
+        sizes: bytes of each chunk's frame; see `eia_sec.common.protocol.chunk_messages` for how many and how large.
     """
 
     KIND = 18

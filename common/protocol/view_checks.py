@@ -5,10 +5,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.errors import SchemaError
-from common.farm import farm_team
-from common.protocol.messages import ViewMessage
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol.messages import ViewMessage
 
 FRAMES: Final = 32
 """Most frames in one message."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from common.transport.endpoint import Endpoint
+from eia_sec.common.transport.endpoint import Endpoint
 
 MOST_WAITING: Final = 20
 """Dead connections in the queue that raise no alarm yet; they delay a new member by two seconds."""

@@ -1,6 +1,6 @@
 """The only module that touches Zenoh.
 
-A `Bus` is one session on one lane. It offers the four kinds of delivery that `common.protocol.keys` declares:
+A `Bus` is one session on one lane. It offers the four kinds of delivery that `eia_sec.common.protocol.keys` declares:
 acknowledged requests, latest-wins states, lossy puts, and liveliness tokens. Data arrives through channels, never
 through callbacks, so closing the bus ends every waiting thread.
 """
@@ -18,11 +18,11 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
-from common.transport.credentials import Credentials
-from common.transport.endpoint import Endpoint, Lane
-from common.transport.handshake import complaint, silence
-from common.transport.zenoh_config import Values, connecting, listening, routing
+from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
+from eia_sec.common.transport.credentials import Credentials
+from eia_sec.common.transport.endpoint import Endpoint, Lane
+from eia_sec.common.transport.handshake import complaint, silence
+from eia_sec.common.transport.zenoh_config import Values, connecting, listening, routing
 
 LIVING_SECONDS: Final = 1.0
 """Longest wait for a list of the live tokens."""

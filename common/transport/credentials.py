@@ -11,8 +11,8 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from common.errors import CredentialsError
-from common.names import is_name
+from eia_sec.common.errors import CredentialsError
+from eia_sec.common.names import is_name
 
 ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
 """Roles that a certificate can name; only the first three listen."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
-from common.errors import EndpointError
-from common.transport.credentials import Credentials, load
+from eia_sec.common.errors import EndpointError
+from eia_sec.common.transport.credentials import Credentials, load
 
 Lane = Literal["control", "bulk"]
 DEFAULT: Final = "tcp/127.0.0.1:7447"

@@ -5,8 +5,8 @@ import socket
 import ssl
 from typing import Final
 
-from common.transport.credentials import Credentials
-from common.transport.endpoint import Endpoint, Lane
+from eia_sec.common.transport.credentials import Credentials
+from eia_sec.common.transport.endpoint import Endpoint, Lane
 
 CONNECT_SECONDS: Final = 2.0
 ALERT_SECONDS: Final = 0.5

@@ -1,4 +1,4 @@
-"""Zenoh's configuration of a session, as plain data; `common.transport.bus` passes it to Zenoh.
+"""Zenoh's configuration of a session, as plain data; `eia_sec.common.transport.bus` passes it to Zenoh.
 
 `listening` is for a process that others connect to, `routing` for a router, `connecting` for everything else. Discovery
 by multicast and gossip is always off.
@@ -7,10 +7,10 @@ by multicast and gossip is always off.
 import json
 from typing import Any, Final, Literal
 
-from common.protocol.access import access_control
-from common.protocol.frame import MAX_FRAME
-from common.transport.credentials import Credentials
-from common.transport.endpoint import Endpoint, Lane
+from eia_sec.common.protocol.access import access_control
+from eia_sec.common.protocol.frame import MAX_FRAME
+from eia_sec.common.transport.credentials import Credentials
+from eia_sec.common.transport.endpoint import Endpoint, Lane
 
 LEASE_MS: Final = 4000
 """A peer that is silent for this long counts as gone."""
@@ -41,7 +41,7 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
     """Return the configuration of a session that others connect to.
 
     With credentials, it accepts only TLS links, requires a certificate of the same authority, and lets each holder do
-    what `common.protocol.access` grants.
+    what `eia_sec.common.protocol.access` grants.
     """
     values = _base(mode, endpoint, lane) | {
         "listen/endpoints": [_door(endpoint, lane)],

@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from common.incarnation import new_incarnation
-from common.process import Presence, StopSignal
-from common.protocol import keys
-from common.protocol.messages import Envelope, SetpointMessage
-from common.transport.admission import admission
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint
-from deploy.flight.pilot import Pilot
+from eia_sec.common.incarnation import new_incarnation
+from eia_sec.common.process import Presence, StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, SetpointMessage
+from eia_sec.common.transport.admission import admission
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.flight.pilot import Pilot
 
 WAITING: Final = 4
 """Observations of one vehicle that wait for the next period; the oldest are dropped."""

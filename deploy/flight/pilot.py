@@ -15,11 +15,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.actors import TeamActors, noise_free_actions
-from common.errors import ConfigError, ProtocolError, SchemaError
-from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from common.team import Float32
-from deploy.flight.states import AgentStates
+from eia_sec.common.actors import TeamActors, noise_free_actions
+from eia_sec.common.errors import ConfigError, ProtocolError, SchemaError
+from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
+from eia_sec.common.team import Float32
+from eia_sec.deploy.flight.states import AgentStates
 
 LARGEST: Final = 4.0
 """Largest absolute value in an observation. Scaled values lie within about [-1, 1]; far larger ones are in other
@@ -148,7 +148,7 @@ class Pilot:
         return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
 
     def report(self) -> dict[str, Any]:
-        """Return the pilot's metrics, as `common.protocol.metrics` declares them."""
+        """Return the pilot's metrics, as `eia_sec.common.protocol.metrics` declares them."""
         worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
         return {
             "periods": self.period,

@@ -8,15 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.errors import BusError
-from common.process import StopSignal
-from common.protocol.messages import SetpointMessage
-from common.team import Float32, TeamSpec
-from common.transitions import EpisodeSummary
-from deploy.flight.vehicle import VehicleLink
-from rollout.evaluation import episode_seed
-from rollout.heuristics.farms import make_farms
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import BusError
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol.messages import SetpointMessage
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.rollout.evaluation import episode_seed
+from eia_sec.rollout.heuristics.farms import make_farms
 
 RESEND_SECONDS: Final = 0.5
 """Time without an answer after which a vehicle publishes its observation again: messages may be lost."""

@@ -4,8 +4,8 @@ A decision on an observation that is held for several periods starts from the sa
 same. A vehicle's new start begins an episode, so the state begins at 0.
 """
 
-from common.actors import TeamActors
-from common.team import Float32
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.team import Float32
 
 Mark = tuple[int, int]
 """A vehicle's incarnation, and the number of one of its observations."""

@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from common.errors import ProtocolError, SchemaError
-from common.incarnation import new_incarnation
-from common.protocol import keys
-from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from common.team import Float32
-from common.transport.bus import Bus
+from eia_sec.common.errors import ProtocolError, SchemaError
+from eia_sec.common.incarnation import new_incarnation
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
+from eia_sec.common.team import Float32
+from eia_sec.common.transport.bus import Bus
 
 WAITING: Final = 4
 """Set-points that wait to be read; the oldest are dropped."""

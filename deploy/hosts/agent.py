@@ -12,13 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from common.errors import HostError
-from deploy.hosts import keeper
-from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
-from deploy.hosts.plan import ORDER
-from deploy.local import contained_files
-from deploy.local.file_ends import last_lines
-from deploy.local.run_directory import HISTORY, RunDirectory
+from eia_sec.common.errors import HostError
+from eia_sec.deploy.hosts import keeper
+from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
+from eia_sec.deploy.hosts.plan import ORDER
+from eia_sec.deploy.local import contained_files
+from eia_sec.deploy.local.file_ends import last_lines
+from eia_sec.deploy.local.run_directory import HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take up a plan."""
@@ -187,7 +187,7 @@ def _ensure_keeper(folder: Path, start: str, issue: int) -> None:
     """Start a keeper unless one holds the folder's lock; of two that start at once, one exits."""
     if keeper.is_kept(folder):
         return
-    command = [sys.executable, "-P", "-m", "deploy.cli", "host", "keep", "--folder", str(folder.resolve())]
+    command = [sys.executable, "-P", "-m", "eia_sec.deploy.cli", "host", "keep", "--folder", str(folder.resolve())]
     if start == "systemd":
         _start_unit(folder, command)
         process = None

@@ -2,12 +2,12 @@
 
 from typing import Any, Final
 
-from common.config.files import to_toml
-from deploy.hosts import containers
-from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.plan import ORDER, SHARING, Places, Process, processes
-from deploy.local.run_directory import HISTORY
+from eia_sec.common.config.files import to_toml
+from eia_sec.deploy.hosts import containers
+from eia_sec.deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.plan import ORDER, SHARING, Places, Process, processes
+from eia_sec.deploy.local.run_directory import HISTORY
 
 SHARED: Final = "memory"
 """The volume that replaces /dev/shm in containers that share transitions through memory."""

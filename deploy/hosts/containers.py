@@ -5,13 +5,13 @@ from typing import Any, Final
 
 import yaml
 
-from common.errors import ConfigError
-from common.transport import credentials
-from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
-from common.transport.endpoint import Endpoint
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.plan import Places, Process
-from deploy.local.threads import thread_environment
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.transport import credentials
+from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.plan import Places, Process
+from eia_sec.deploy.local.threads import thread_environment
 
 USER_ID: Final = 10_001
 """The user id in the image; see Dockerfile."""

@@ -15,13 +15,13 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from common.config import RunConfig
-from common.errors import ConfigError, UsageError
-from common.farm import farm_environment, farm_of
-from common.names import check_name
-from common.protocol.message_sizes import require_frames
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.options import base_configuration, with_settings
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import ConfigError, UsageError
+from eia_sec.common.farm import farm_environment, farm_of
+from eia_sec.common.names import check_name
+from eia_sec.common.protocol.message_sizes import require_frames
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.options import base_configuration, with_settings
 
 LOCAL: Final = "local"
 """The name of this machine as a host; it is reached without SSH."""

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final
 
-from common.errors import ConfigError, HostError
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.remote import Link, everywhere, links
-from deploy.local import contained_files
-from deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
+from eia_sec.common.errors import ConfigError, HostError
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.remote import Link, everywhere, links
+from eia_sec.deploy.local import contained_files
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
 
 OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
 """Files that the learner's host sends besides its workers' histories."""

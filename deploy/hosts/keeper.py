@@ -22,11 +22,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from common.errors import HostError, UsageError
-from common.process import StopSignal, log
-from common.transport.credentials import Identity
-from deploy.hosts.plan import ORDER
-from deploy.local.supervisor import Child, Supervisor
+from eia_sec.common.errors import HostError, UsageError
+from eia_sec.common.process import StopSignal, log
+from eia_sec.common.transport.credentials import Identity
+from eia_sec.deploy.hosts.plan import ORDER
+from eia_sec.deploy.local.supervisor import Child, Supervisor
 
 PLAN, STATE, LOCK, LOG, LOGS = "plan.json", "state.json", "keeper.lock", "keeper.log", "logs"
 TICK_SECONDS: Final = 0.25

@@ -4,13 +4,13 @@ import base64
 import re
 from typing import Any, Final
 
-from common.config.files import to_toml
-from common.errors import ConfigError
-from deploy.hosts import containers
-from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, port_of, probe
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.operations import service_name
-from deploy.hosts.plan import Places, Process, processes, worker
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.hosts import containers
+from eia_sec.deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, port_of, probe
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.operations import service_name
+from eia_sec.deploy.hosts.plan import Places, Process, processes, worker
 
 _LABEL: Final = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
 _POD: Final = "$(POD_NAME)"

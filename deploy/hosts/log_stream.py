@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
 
-from common.errors import HostError
-from deploy.hosts.agent import LINE_BYTES, log_files
+from eia_sec.common.errors import HostError
+from eia_sec.deploy.hosts.agent import LINE_BYTES, log_files
 
 LOOK_SECONDS: Final = 0.25
 """Seconds between two reads of the files."""

@@ -7,16 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from common.config.files import to_toml
-from common.errors import CredentialsError, HostError
-from common.process import StopSignal
-from common.transport import credentials
-from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
-from common.transport.endpoint import Endpoint
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.plan import ORDER, Process, here, processes
-from deploy.hosts.remote import Link, everywhere, links
-from deploy.security import authority
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import CredentialsError, HostError
+from eia_sec.common.process import StopSignal
+from eia_sec.common.transport import credentials
+from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.plan import ORDER, Process, here, processes
+from eia_sec.deploy.hosts.remote import Link, everywhere, links
+from eia_sec.deploy.security import authority
 
 Failures = dict[str, str]
 """The reason for each host that failed."""

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config.presets import SAVED
-from common.transport.credentials import Identity
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.local.run_directory import HISTORY
+from eia_sec.common.config.presets import SAVED
+from eia_sec.common.transport.credentials import Identity
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
 """Seconds that processes wait for the listener: hosts start in any order, some much later."""

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
-from common.errors import HostError
-from common.process import StopSignal
-from deploy.hosts.fleet_file import LOCAL, FleetSpec, Host
+from eia_sec.common.errors import HostError
+from eia_sec.common.process import StopSignal
+from eia_sec.deploy.hosts.fleet_file import LOCAL, FleetSpec, Host
 
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
@@ -67,7 +67,7 @@ class Link:
         """Call a verb of `eia-sec host` and return its JSON answer.
 
         Args:
-            verb: see `deploy.commands.fleet.host`.
+            verb: see `eia_sec.deploy.commands.fleet.host`.
             request: its arguments.
             seconds: how long the host is meant to wait.
 
@@ -88,7 +88,7 @@ class Link:
         """Call a verb of `eia-sec host` and return a file with its answer, which may not fit into memory.
 
         Args:
-            verb: see `deploy.commands.fleet.host`.
+            verb: see `eia_sec.deploy.commands.fleet.host`.
             request: its arguments.
             seconds: how long the host is meant to wait.
             most: longest answer, bytes.
@@ -141,7 +141,7 @@ class Link:
         """Call a verb that answers line by line until stopped.
 
         Args:
-            verb: see `deploy.commands.fleet.host`.
+            verb: see `eia_sec.deploy.commands.fleet.host`.
             request: its arguments.
             take: called with each line.
             stop: ends it.
@@ -170,7 +170,7 @@ class Link:
         folder = str(self.base / self.host.folder) if self.host.host == LOCAL else self.host.folder
         far = ["host", verb, "--folder", folder]
         if self.host.host == LOCAL:
-            return [sys.executable, "-P", "-m", "deploy.cli", *far]
+            return [sys.executable, "-P", "-m", "eia_sec.deploy.cli", *far]
         # SSH passes one text to the remote shell, so every word is quoted; the request goes through a pipe.
         return [*self._ssh(), self.host.host, shlex.join([*self.host.words, *far])]
 

@@ -5,14 +5,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from common.errors import ConfigError
-from deploy.hosts.compose import compose
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.kubernetes import kubernetes
-from deploy.hosts.plan import ORDER
-from deploy.hosts.systemd import units
-from deploy.local import contained_files
-from deploy.local.run_directory import HISTORY
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.hosts.compose import compose
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.kubernetes import kubernetes
+from eia_sec.deploy.hosts.plan import ORDER
+from eia_sec.deploy.hosts.systemd import units
+from eia_sec.deploy.local import contained_files
+from eia_sec.deploy.local.run_directory import HISTORY
 
 _OPEN: Final = (".service", ".target")
 """Suffixes of files that everybody may read, as systemd requires."""

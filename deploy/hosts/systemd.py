@@ -3,11 +3,11 @@
 from pathlib import PurePosixPath
 from typing import Final
 
-from common.config.files import to_toml
-from common.errors import ConfigError
-from deploy.hosts.fleet_file import FleetSpec
-from deploy.hosts.plan import ORDER, Places, Process, processes
-from deploy.local.threads import thread_environment
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.plan import ORDER, Places, Process, processes
+from eia_sec.deploy.local.threads import thread_environment
 
 USER: Final = "eia-sec"
 """The user that the processes run as."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO
 
-from common.errors import UsageError
+from eia_sec.common.errors import UsageError
 
 
 def checked_parts(name: str) -> tuple[str, ...]:

@@ -6,16 +6,16 @@ bit-equal to those of a distributed lockstep run.
 
 from collections.abc import Callable
 
-from common.config import RunConfig
-from common.config.files import with_values
-from common.imitation import ImitationSchedule
-from common.transitions import Chunk
-from elite.evaluation_plan import evaluation_plan
-from elite.scoring import decide
-from learner.trainer import Trainer
-from learner.trainers import make_trainer
-from rollout.start_policy import start_parameters
-from rollout.worker.collector import Collector, run_noise_free_episodes
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import with_values
+from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.common.transitions import Chunk
+from eia_sec.elite.evaluation_plan import evaluation_plan
+from eia_sec.elite.scoring import decide
+from eia_sec.learner.trainer import Trainer
+from eia_sec.learner.trainers import make_trainer
+from eia_sec.rollout.start_policy import start_parameters
+from eia_sec.rollout.worker.collector import Collector, run_noise_free_episodes
 
 WORKER = "0"
 """Name of the worker; the first worker of `eia-sec train` has the same name."""

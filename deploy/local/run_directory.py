@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from common.config import RunConfig
-from common.config.files import differences, method_of, to_toml
-from common.config.presets import read_saved
-from common.errors import RunDirError
-from deploy.local.file_ends import last_lines
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import differences, method_of, to_toml
+from eia_sec.common.config.presets import read_saved
+from eia_sec.common.errors import RunDirError
+from eia_sec.deploy.local.file_ends import last_lines
 
 CONFIG = "config.toml"
 FRESH = f"{CONFIG}.new"
@@ -21,7 +21,7 @@ POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
 """Bytes at the end of metrics.jsonl that are read to find its last line; the final record is far shorter."""
 HISTORY = "history"
-"""Folder of the processes' histories, see `common.history.history`."""
+"""Folder of the processes' histories, see `eia_sec.common.history.history`."""
 
 
 def own_folder(run_dir: Path, name: str) -> Path:
@@ -46,7 +46,7 @@ class RunDirectory:
     def prepare(self, config: RunConfig, *, resume: bool) -> None:
         """Create the folder with its configuration, or check that it has this configuration.
 
-        A resumed run may change the settings of its processes, see `common.config.files.method_of`.
+        A resumed run may change the settings of its processes, see `eia_sec.common.config.files.method_of`.
 
         Raises:
             RunDirError: the folder holds another configuration; `resume` is False and it holds a run; `resume` is True

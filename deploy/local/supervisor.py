@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from common.process import SEPARATOR, SUPERVISOR, log
-from deploy.exit_codes import USAGE
-from deploy.local.file_ends import last_lines
-from deploy.local.threads import thread_environment
+from eia_sec.common.process import SEPARATOR, SUPERVISOR, log
+from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.deploy.local.file_ends import last_lines
+from eia_sec.deploy.local.threads import thread_environment
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
 """Pauses before each restart of a child that died; after the last one it is given up."""
@@ -32,7 +32,7 @@ class Child:
 
     Attributes:
         name: unique name, also of its log file.
-        arguments: the arguments of `eia-sec`.
+        arguments: its words on the command line.
         threads: its share of compute threads.
         deaths: unexpected exits in a row.
         done: whether it exited as intended.
@@ -54,17 +54,21 @@ class Child:
 
 
 class Supervisor:
-    """Starts `eia-sec` subcommands in sessions of their own and restarts those that die.
+    """Starts commands in sessions of their own and restarts those that die.
 
     Args:
         logs: folder for one log file per child.
         environment: variables on top of this process's own.
+        program: the module that the commands are arguments of.
     """
 
-    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, logs: Path, environment: Mapping[str, str] | None = None, program: str = "eia_sec.deploy.cli"
+    ) -> None:
         logs.mkdir(parents=True, exist_ok=True)
         self._logs = logs
         self._environment = dict(environment or {})
+        self._program = program
         self.children: dict[str, Child] = {}
         self.alarms: list[str] = []
 
@@ -128,7 +132,7 @@ class Supervisor:
         try:
             with (self._logs / f"{child.name}.log").open("ab") as output:
                 child.process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "deploy.cli", *child.arguments, *again],
+                    [sys.executable, "-P", "-m", self._program, *child.arguments, *again],
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=output,

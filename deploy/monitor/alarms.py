@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
-from deploy.monitor.snapshot import ProcessRow
+from eia_sec.deploy.monitor.snapshot import ProcessRow
 
 BEHIND_VERSIONS: Final = 20
 """Parameter versions that a worker's actors may lag behind the learner before an alarm."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from common.errors import RunDirError
-from common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
-from deploy.local.file_ends import last_lines
-from deploy.local.run_directory import HISTORY, METRICS
-from deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
+from eia_sec.common.errors import RunDirError
+from eia_sec.common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
+from eia_sec.deploy.local.file_ends import last_lines
+from eia_sec.deploy.local.run_directory import HISTORY, METRICS
+from eia_sec.deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
 LAST_BYTES: Final = 2**20
 """Most bytes of a learner's last records that are looked at."""

@@ -1,8 +1,8 @@
 """The live view of a run, the same for `eia-sec train` and `eia-sec monitor`: a pure function of a snapshot.
 
-`deploy.monitor.run_monitor` assembles a `Snapshot` from metric messages; `render` draws it at any width from 80 columns
-and any height from 24 lines on, and `summary` condenses it to one line where there is no terminal. Unknown values
-are drawn as "-".
+`eia_sec.deploy.monitor.run_monitor` assembles a `Snapshot` from metric messages; `render` draws it at any width from 80
+columns and any height from 24 lines on, and `summary` condenses it to one line where there is no terminal. Unknown
+values are drawn as "-".
 """
 
 from typing import Final
@@ -13,9 +13,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from deploy.monitor.snapshot import Imitation, LedgerCounts, Snapshot
-from deploy.monitor.sparkline import Sparkline
-from deploy.monitor.tables import EventTable, ProcessTable, duration, number
+from eia_sec.deploy.monitor.snapshot import Imitation, LedgerCounts, Snapshot
+from eia_sec.deploy.monitor.sparkline import Sparkline
+from eia_sec.deploy.monitor.tables import EventTable, ProcessTable, duration, number
 
 HEIGHT: Final = 30
 """Height of the view if the terminal's is unknown, lines."""

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from common.errors import SchemaError
-from common.protocol.messages import MetricMessage
-from deploy.monitor.environment_labels import plotted, type_label
-from deploy.monitor.sanitised import metrics
-from deploy.monitor.snapshot import ImitationRow, LedgerCounts
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol.messages import MetricMessage
+from eia_sec.deploy.monitor.environment_labels import plotted, type_label
+from eia_sec.deploy.monitor.sanitised import metrics
+from eia_sec.deploy.monitor.snapshot import ImitationRow, LedgerCounts
 
 RATE_SECONDS: Final = 10.0
 """Time over which rates are computed. It is long because a worker may report no chunk in a second."""

@@ -5,16 +5,16 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final
 
-from common.errors import ProtocolError, SchemaError
-from common.protocol import keys
-from common.protocol.messages import Envelope, MetricMessage
-from common.transport.bus import Bus
-from deploy.monitor.alarms import examine
-from deploy.monitor.environment_labels import plotted, type_label
-from deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of
-from deploy.monitor.sanitised import plain
-from deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
-from learner.intake.ledger import OTHERS
+from eia_sec.common.errors import ProtocolError, SchemaError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, MetricMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.deploy.monitor.alarms import examine
+from eia_sec.deploy.monitor.environment_labels import plotted, type_label
+from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of
+from eia_sec.deploy.monitor.sanitised import plain
+from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
+from eia_sec.learner.intake.ledger import OTHERS
 
 HISTORY: Final = 240
 """Points of a curve that are kept."""
@@ -117,7 +117,7 @@ class RunMonitor:
                     part.setdefault(kind, deque(maxlen=HISTORY)).append(float(value))
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
-        """Return the current state for `deploy.monitor.live_view.render`, with the caller's alarms first."""
+        """Return the current state for `eia_sec.deploy.monitor.live_view.render`, with the caller's alarms first."""
         try:
             return self._snapshot(alarms)
         except UNREADABLE:

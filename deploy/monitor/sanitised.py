@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from common.errors import SchemaError
-from common.text import printable
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.text import printable
 
 LARGEST: Final = 1e15
 """Largest number that a view shows."""

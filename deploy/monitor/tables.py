@@ -8,7 +8,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from deploy.monitor.snapshot import ImitationRow, LedgerCounts, ProcessRow, Snapshot
+from eia_sec.deploy.monitor.snapshot import ImitationRow, LedgerCounts, ProcessRow, Snapshot
 
 NARROW: Final = 0
 MIDDLE: Final = 96

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from safetensors.numpy import save
 
-from common.actions.descriptions import ADAPTERS
-from common.actors import TeamActors, actor_outputs, parameter_views
-from common.config import RunConfig
-from common.config.files import digest
-from common.environment import TensorNames
-from common.errors import PolicyError
-from common.farm import farm_environment, farm_of
-from common.gru import Memory
-from common.team import Float32, GroupSpec
-from deploy.local import contained_files
-from deploy.policies.onnx_actions import action_nodes
-from deploy.policies.onnx_networks import NEXT_STATE, STATE, Network, network_nodes
+from eia_sec.common.actions.descriptions import ADAPTERS
+from eia_sec.common.actors import TeamActors, actor_outputs, parameter_views
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import digest
+from eia_sec.common.environment import TensorNames
+from eia_sec.common.errors import PolicyError
+from eia_sec.common.farm import farm_environment, farm_of
+from eia_sec.common.gru import Memory
+from eia_sec.common.team import Float32, GroupSpec
+from eia_sec.deploy.local import contained_files
+from eia_sec.deploy.policies.onnx_actions import action_nodes
+from eia_sec.deploy.policies.onnx_networks import NEXT_STATE, STATE, Network, network_nodes
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -49,7 +49,9 @@ def agent_names(actors: TeamActors) -> list[str]:
 
 
 def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
-    """Return each agent's layers by their names in the files: LAYERS, with the shapes of `common.actors.layer_shapes`.
+    """Return each agent's layers by their names in the files.
+
+    These are LAYERS, with the shapes of `eia_sec.common.actors.layer_shapes`.
 
     A last layer has as many outputs as the action numbers, or one for each option. Agents that share their parameters
     have equal layers.

@@ -1,6 +1,6 @@
 """From an actor's last layer to the environment's action, as nodes of an ONNX graph.
 
-The operations and their order are those of `common.actors` and `common.actions.adapters`.
+The operations and their order are those of `eia_sec.common.actors` and `eia_sec.common.actions.adapters`.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import (
+from eia_sec.common.actions.adapters import (
     EDGE,
     GAIN,
     POSITION,
@@ -20,8 +20,8 @@ from common.actions.adapters import (
     MirroredAxes,
     NineMoves,
 )
-from common.actions.sampling import ILLEGAL
-from common.team import GroupSpec
+from eia_sec.common.actions.sampling import ILLEGAL
+from eia_sec.common.team import GroupSpec
 
 
 class Node(NamedTuple):

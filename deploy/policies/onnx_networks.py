@@ -1,6 +1,6 @@
 """From an agent's observation to its actor's last layer, as nodes of an ONNX graph.
 
-The operations and their order are those of `common.actors` and `common.gru`.
+The operations and their order are those of `eia_sec.common.actors` and `eia_sec.common.gru`.
 """
 
 from collections.abc import Mapping
@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from common.gru import Memory
-from common.team import Float32
-from deploy.policies.onnx_actions import LAST, Node, Numbers
+from eia_sec.common.gru import Memory
+from eia_sec.common.team import Float32
+from eia_sec.deploy.policies.onnx_actions import LAST, Node, Numbers
 
 STATE: Final = "state"
 NEXT_STATE: Final = "next_state"
@@ -64,7 +64,7 @@ def network_nodes(layers: Mapping[str, Float32], memory: Memory) -> Network:
     """Return an actor's layers as a part of a graph.
 
     Args:
-        layers: the layers by their names, see `deploy.policies.export.LAYERS`.
+        layers: the layers by their names, see `eia_sec.deploy.policies.export.LAYERS`.
         memory: the actor's memory.
     """
     if memory == "none":

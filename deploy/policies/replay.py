@@ -5,15 +5,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.config import FarmConfig
-from common.errors import UsageError
-from deploy.reports.film import Film
-from deploy.reports.plots import save_comparison
-from rollout.evaluation import episode_seed, record
-from rollout.heuristics.farms import make_farms
-from rollout.policies import policy_of
-from rollout.rendering.scene import Observer, Scene
-from rollout.rendering.side_by_side import SideBySidePicture
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import UsageError
+from eia_sec.deploy.reports.film import Film
+from eia_sec.deploy.reports.plots import save_comparison
+from eia_sec.rollout.evaluation import episode_seed, record
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.rendering.scene import Observer, Scene
+from eia_sec.rollout.rendering.side_by_side import SideBySidePicture
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Comparison:
 
     Attributes:
         config: the farm.
-        policies: names or files; see `rollout.policies.policy_of`.
+        policies: names or files; see `eia_sec.rollout.policies.policy_of`.
         names: their labels in the film and plots.
         farm: seed of the farm.
         episode: number of the episode on it, that of `eia-sec evaluate`.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rollout.evaluation import Evaluation
+from eia_sec.rollout.evaluation import Evaluation
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:

@@ -7,13 +7,13 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from common.config import FarmConfig, WorldConfig
-from common.config.farm.world import Density
-from common.errors import UsageError
-from deploy.reports.plots import DPI, TEXT
-from rollout.rendering.airspace import draw_outlines
-from rollout.rendering.palette import SENSOR_MARKERS
-from rollout.sim.layout import GIVEN, Layout, make_layout
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.config.farm.world import Density
+from eia_sec.common.errors import UsageError
+from eia_sec.deploy.reports.plots import DPI, TEXT
+from eia_sec.rollout.rendering.airspace import draw_outlines
+from eia_sec.rollout.rendering.palette import SENSOR_MARKERS
+from eia_sec.rollout.sim.layout import GIVEN, Layout, make_layout
 
 DENSITIES: Final[tuple[Density, ...]] = ("uniform", "irregular", "clustered", "banded", "patchy")
 """All densities, in the order of the plot."""

@@ -12,7 +12,7 @@ from typing import IO, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import EiaSecError, UsageError
+from eia_sec.common.errors import EiaSecError, UsageError
 
 GIF_WIDTH: Final = 960
 """Pixels; a GIF compresses little."""

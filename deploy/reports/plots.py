@@ -19,13 +19,22 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from common.environment import EpisodeMetric
-from common.farm import farm_team
-from rollout.evaluation import Trajectory
-from rollout.rendering.airspace import WindArrow, draw_outlines, outline_handles
-from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
-from rollout.sim.layout import make_layout
-from rollout.sim.wind import wind_series
+from eia_sec.common.environment import EpisodeMetric
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.evaluation import Trajectory
+from eia_sec.rollout.rendering.airspace import WindArrow, draw_outlines, outline_handles
+from eia_sec.rollout.rendering.palette import (
+    AGE_MAP,
+    COLOURS,
+    END_MARKERS,
+    LABELS,
+    SENSOR_MARKERS,
+    STYLES,
+    TYPES,
+    LineStyle,
+)
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.wind import wind_series
 
 DPI: Final = 150
 OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -7,14 +7,14 @@ from typing import Any
 
 from rich.console import Console
 
-from common.config import RunConfig
-from common.farm import farm_of
-from common.policy_file import load_policy
-from deploy.local.run_directory import METRICS, POLICY, RunDirectory
-from deploy.reports.comparison_tables import comparison_table
-from deploy.reports.plots import curves, trajectories
-from rollout.evaluation import Evaluation, evaluate_run, record
-from rollout.policies import ActorPolicy, reference_policies, run_policy
+from eia_sec.common.config import RunConfig
+from eia_sec.common.farm import farm_of
+from eia_sec.common.policy_file import load_policy
+from eia_sec.deploy.local.run_directory import METRICS, POLICY, RunDirectory
+from eia_sec.deploy.reports.comparison_tables import comparison_table
+from eia_sec.deploy.reports.plots import curves, trajectories
+from eia_sec.rollout.evaluation import Evaluation, evaluate_run, record
+from eia_sec.rollout.policies import ActorPolicy, reference_policies, run_policy
 
 TRAINED = "this run"
 

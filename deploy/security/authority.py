@@ -21,10 +21,10 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from common.config.checks import within
-from common.errors import CredentialsError
-from common.transport import credentials
-from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import CredentialsError
+from eia_sec.common.transport import credentials
+from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 
 CA_KEY: Final = "ca.key"
 LOCK: Final = "members.lock"

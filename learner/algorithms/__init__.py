@@ -2,11 +2,11 @@
 
 from typing import Any, Final
 
-from learner.algorithms.base import Algorithm
-from learner.algorithms.eia_sec import EiaSec
-from learner.algorithms.maddpg import Maddpg
-from learner.algorithms.masac import Masac
-from learner.algorithms.matd3 import Matd3
+from eia_sec.learner.algorithms.base import Algorithm
+from eia_sec.learner.algorithms.eia_sec import EiaSec
+from eia_sec.learner.algorithms.maddpg import Maddpg
+from eia_sec.learner.algorithms.masac import Masac
+from eia_sec.learner.algorithms.matd3 import Matd3
 
 ALGORITHMS: Final[dict[str, type[Algorithm[Any]]]] = {
     "eia-sec": EiaSec,
@@ -14,4 +14,4 @@ ALGORITHMS: Final[dict[str, type[Algorithm[Any]]]] = {
     "matd3": Matd3,
     "masac": Masac,
 }
-"""The learners by `algorithm.name`; `common.config.ALGORITHM_CONFIGS` has their options."""
+"""The learners by `algorithm.name`; `eia_sec.common.config.ALGORITHM_CONFIGS` has their options."""

@@ -1,7 +1,7 @@
 """The actors of all agents on the learner's side: parameters, target parameters, optimiser.
 
 A deterministic head outputs the inverse hyperbolic tangent of the action. A Gaussian head outputs its mean and, behind
-it, the logarithm of its standard deviation (see `common.actors`).
+it, the logarithm of its standard deviation (see `eia_sec.common.actors`).
 """
 
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from common.actors import Head, TeamActors
-from common.config import OffPolicyConfig
-from common.team import Float32, TeamSpec
-from learner.networks.compiled_pass import make_pass
-from learner.networks.inputs import Inputs
-from learner.networks.optimiser import Adam
-from learner.networks.stacked import Forward, Networks, Stack
+from eia_sec.common.actors import Head, TeamActors
+from eia_sec.common.config import OffPolicyConfig
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.learner.networks.compiled_pass import make_pass
+from eia_sec.learner.networks.inputs import Inputs
+from eia_sec.learner.networks.optimiser import Adam
+from eia_sec.learner.networks.stacked import Forward, Networks, Stack
 
 
 class PolicyActions(NamedTuple):
@@ -77,12 +77,12 @@ class Actors:
             self.target.copy_(self.flat)
 
     def load(self, flat: Sequence[Float32]) -> None:
-        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`."""
+        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`."""
         for kind, parameters in enumerate(flat):
             self.networks.load(self.flat, kind, torch.from_numpy(parameters))
 
     def export(self) -> tuple[Float32, ...]:
-        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`."""
+        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`."""
         kinds = range(len(self._team.groups))
         return tuple(self.networks.export(self.flat, kind).float().contiguous().cpu().numpy() for kind in kinds)
 

@@ -8,8 +8,9 @@ The engine calls
 
 An update has no branch that depends on data, so that each kind of update can be captured as a CUDA graph.
 
-Gradients are written out, because that is what is fast (`python -m benchmarks.autograd`). A forward pass returns values
-together with what its gradients take; the gradient of a forward pass that another one has overwritten is refused.
+Gradients are written out, because that is what is fast (`python -m research.benchmarks.autograd`). A forward pass
+returns values together with what its gradients take; the gradient of a forward pass that another one has overwritten is
+refused.
 """
 
 from abc import ABC, abstractmethod
@@ -18,13 +19,13 @@ from typing import ClassVar, Generic, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from common.actors import Head
-from common.config import OffPolicyConfig
-from common.team import TeamSpec
-from learner.algorithms.actors import Actors
-from learner.algorithms.critics import Critics, QValues
-from learner.networks.inputs import Inputs, action_layout, action_views
-from learner.networks.optimiser import Adam
+from eia_sec.common.actors import Head
+from eia_sec.common.config import OffPolicyConfig
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.algorithms.actors import Actors
+from eia_sec.learner.algorithms.critics import Critics, QValues
+from eia_sec.learner.networks.inputs import Inputs, action_layout, action_views
+from eia_sec.learner.networks.optimiser import Adam
 
 C = TypeVar("C", bound=OffPolicyConfig)
 

@@ -2,7 +2,7 @@
 
 Q-values are tensors [k, agents, B] in the team's order, k being the critics of an agent. The parameters of all critics
 are one flat vector. They are initialised, loaded and exported in the order of an agent's own view (see
-`learner.networks.inputs`), whatever the order of the rows that the critics see.
+`eia_sec.learner.networks.inputs`), whatever the order of the rows that the critics see.
 """
 
 from typing import NamedTuple
@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.actors import initial_parameters
-from common.config import OffPolicyConfig
-from common.seeds import stream
-from common.team import TeamSpec
-from learner.networks.compiled_pass import make_pass
-from learner.networks.inputs import Inputs, critic_width, view_columns
-from learner.networks.stacked import Forward, Networks, Parameters, Stack
+from eia_sec.common.actors import initial_parameters
+from eia_sec.common.config import OffPolicyConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.networks.compiled_pass import make_pass
+from eia_sec.learner.networks.inputs import Inputs, critic_width, view_columns
+from eia_sec.learner.networks.stacked import Forward, Networks, Parameters, Stack
 
 
 class QValues(NamedTuple):
@@ -89,11 +89,11 @@ class Critics:
                 self.load(flat, k, kind, torch.from_numpy(np.stack(draws)))
 
     def load(self, flat: Tensor, k: int, kind: int, parameters: Tensor) -> None:
-        """Write the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
+        """Write the k-th critics of a type, [n_v, P] in the order of `eia_sec.common.actors`."""
         self.networks.load(flat, self._index(k, kind), self._reordered(kind, parameters, inward=True))
 
     def export(self, flat: Tensor, k: int, kind: int) -> Tensor:
-        """Return a copy of the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
+        """Return a copy of the k-th critics of a type, [n_v, P] in the order of `eia_sec.common.actors`."""
         return self._reordered(kind, self.networks.export(flat, self._index(k, kind)), inward=False)
 
     def _index(self, k: int, kind: int) -> int:

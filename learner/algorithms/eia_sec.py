@@ -24,17 +24,17 @@ An update is synchronous: every agent's step uses the others' parameters from th
     `actor_objective` is local; in the joint scope the other agents' actions are the batch's. One Adam step at r_a;
     then the target actors, if any, follow as in 5.
 
-Elite imitation, the other half of the method, acts on the actors between updates (`common.imitation`).
+Elite imitation, the other half of the method, acts on the actors between updates (`eia_sec.common.imitation`).
 """
 
 import torch
 from torch import Tensor
 
-from common.config import EiaSecConfig
-from learner.algorithms.base import Algorithm, Batch, Diagnostics
-from learner.algorithms.critics import QValues
-from learner.algorithms.ensemble import Ensemble
-from learner.networks.inputs import Inputs
+from eia_sec.common.config import EiaSecConfig
+from eia_sec.learner.algorithms.base import Algorithm, Batch, Diagnostics
+from eia_sec.learner.algorithms.critics import QValues
+from eia_sec.learner.algorithms.ensemble import Ensemble
+from eia_sec.learner.networks.inputs import Inputs
 
 
 class EiaSec(Algorithm[EiaSecConfig]):

@@ -1,19 +1,20 @@
 """The shared ensemble critics (SEC): k_s members for each type, which all its agents share.
 
-This module holds their networks: values and gradients. Their loss and their step are in `learner.algorithms.eia_sec`.
+This module holds their networks: values and gradients. Their loss and their step are in
+`eia_sec.learner.algorithms.eia_sec`.
 """
 
 import torch
 from torch import Tensor
 
-from common.actors import initial_parameters
-from common.config import EiaSecConfig
-from common.seeds import stream
-from common.team import TeamSpec
-from learner.algorithms.critics import QValues
-from learner.networks.compiled_pass import make_pass
-from learner.networks.inputs import Inputs, critic_width
-from learner.networks.stacked import Networks, Parameters, Stack
+from eia_sec.common.actors import initial_parameters
+from eia_sec.common.config import EiaSecConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.algorithms.critics import QValues
+from eia_sec.learner.networks.compiled_pass import make_pass
+from eia_sec.learner.networks.inputs import Inputs, critic_width
+from eia_sec.learner.networks.stacked import Networks, Parameters, Stack
 
 
 class Ensemble:

@@ -14,8 +14,8 @@ One update, for every agent i at once, with x all observations and a all actions
 import torch
 from torch import Tensor
 
-from common.config import MaddpgConfig
-from learner.algorithms.base import Algorithm, Batch, Diagnostics
+from eia_sec.common.config import MaddpgConfig
+from eia_sec.learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
 class Maddpg(Algorithm[MaddpgConfig]):

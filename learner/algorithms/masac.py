@@ -25,13 +25,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from common.actors import LOG_STD_RANGE
-from common.config import MasacConfig
-from common.team import TeamSpec
-from learner.algorithms.base import Algorithm, Batch, Diagnostics
-from learner.networks.inputs import Inputs
-from learner.networks.optimiser import Adam
-from learner.networks.stacked import Forward
+from eia_sec.common.actors import LOG_STD_RANGE
+from eia_sec.common.config import MasacConfig
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.algorithms.base import Algorithm, Batch, Diagnostics
+from eia_sec.learner.networks.inputs import Inputs
+from eia_sec.learner.networks.optimiser import Adam
+from eia_sec.learner.networks.stacked import Forward
 
 
 class ActionSample(NamedTuple):

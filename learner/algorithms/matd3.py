@@ -14,8 +14,8 @@ MADDPG with the three changes of TD3. One update, for every agent i at once:
 import torch
 from torch import Tensor
 
-from common.config import Matd3Config
-from learner.algorithms.base import Algorithm, Batch, Diagnostics
+from eia_sec.common.config import Matd3Config
+from eia_sec.learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
 class Matd3(Algorithm[Matd3Config]):

@@ -3,9 +3,9 @@
 from collections import deque
 from typing import Final
 
-from common.history.history import History
-from common.history.summary import Marks, summarised
-from learner.intake.ledger import LedgerSnapshot
+from eia_sec.common.history.history import History
+from eia_sec.common.history.summary import Marks, summarised
+from eia_sec.learner.intake.ledger import LedgerSnapshot
 
 MOST_RECORDS: Final = 20_000
 """Number of records (some megabytes) above which totals replace those before all checkpoints."""

@@ -6,9 +6,9 @@ arrives again. It is booked as lost here, not at the worker's next delivery, whi
 
 from collections.abc import Iterable
 
-from common.history.history import Entry, History, Record, Resume, Start
-from common.protocol.messages import Envelope
-from learner.intake.ledger import Ledger
+from eia_sec.common.history.history import Entry, History, Record, Resume, Start
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.learner.intake.ledger import Ledger
 
 
 def last_epoch(records: Iterable[Record]) -> int:

@@ -4,16 +4,16 @@ import time
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from common.config import RunConfig
-from common.config.files import digest, method_of
-from common.errors import PolicyError, RunDirError
-from common.policy_file import save_policy
-from common.process import log
-from learner.checkpoint import files
-from learner.checkpoint.trainer_state import counter, finite, mapping
-from learner.checkpoint.writer import CheckpointWriter
-from learner.intake.ledger import Ledger
-from learner.trainer import Trainer
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import digest, method_of
+from eia_sec.common.errors import PolicyError, RunDirError
+from eia_sec.common.policy_file import save_policy
+from eia_sec.common.process import log
+from eia_sec.learner.checkpoint import files
+from eia_sec.learner.checkpoint.trainer_state import counter, finite, mapping
+from eia_sec.learner.checkpoint.writer import CheckpointWriter
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.trainer import Trainer
 
 SLACK_BYTES: Final = 64 * 2**20
 """Upper bound for the bytes of a checkpoint's tensors other than networks and replay."""
@@ -33,7 +33,7 @@ class RunStorage:
 
     Args:
         directory: the run directory, or None.
-        config: the run; checkpoints of another method are refused, see `common.config.files.method_of`.
+        config: the run; checkpoints of another method are refused, see `eia_sec.common.config.files.method_of`.
 
     Attributes:
         skipped: checkpoints that were due while the previous one was still being written.

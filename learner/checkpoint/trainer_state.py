@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.errors import CheckpointError
-from common.transitions import EpisodeSummary
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.transitions import EpisodeSummary
 
 RENAMED_TENSORS: Final = {"engine.rounds": "engine.updates"}
 RENAMED_STATE: Final = {"figure_rounds": "diagnostic_updates", "round_noise": "update_noise"}

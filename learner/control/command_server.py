@@ -4,12 +4,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from common.errors import ProtocolError
-from common.process import log
-from common.protocol import keys
-from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
-from common.transport.bus import Incoming, Server
-from learner.control.lease import Lease
+from eia_sec.common.errors import ProtocolError
+from eia_sec.common.process import log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
+from eia_sec.common.transport.bus import Incoming, Server
+from eia_sec.learner.control.lease import Lease
 
 SHOWN_NAME = 64
 """Most characters of another process's name in a log line or an answer."""

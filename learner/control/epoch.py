@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from common.errors import ProtocolError
-from common.incarnation import new_incarnation
-from common.protocol import keys
-from common.protocol.messages import ProgressMessage
-from common.transport.bus import Bus
+from eia_sec.common.errors import ProtocolError
+from eia_sec.common.incarnation import new_incarnation
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import ProgressMessage
+from eia_sec.common.transport.bus import Bus
 
 MOST_EPOCH: Final = 2**62
 """Epochs from here on are refused when read: no clock gives them, and later starts need higher ones."""
@@ -15,8 +15,8 @@ MOST_EPOCH: Final = 2**62
 def next_epoch(last: int) -> int:
     """Return the epoch of a new start of the learner.
 
-    It is the incarnation of this start, see `common.incarnation`. It grows even if the clock was set back, and two
-    copies of one run directory start with different epochs.
+    It is the incarnation of this start, see `eia_sec.common.incarnation`. It grows even if the clock was set back, and
+    two copies of one run directory start with different epochs.
 
     Args:
         last: the highest epoch known from the checkpoint and the history; 0 for none.

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from common.errors import ProtocolError
-from common.imitation import ImitationEvent
-from common.protocol.messages import Envelope, ImitationMessage, ReceiptMessage
-from common.transport.bus import Incoming, Server
-from learner.control.lease import Lease
-from learner.trainer import Trainer
+from eia_sec.common.errors import ProtocolError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.protocol.messages import Envelope, ImitationMessage, ReceiptMessage
+from eia_sec.common.transport.bus import Incoming, Server
+from eia_sec.learner.control.lease import Lease
+from eia_sec.learner.trainer import Trainer
 
 LONGEST_REASON = 400
 """Most characters of a refusal."""

@@ -1,10 +1,10 @@
 """Publishes the learner's parameters and its progress."""
 
-from common.config import RunConfig
-from common.protocol import keys
-from common.protocol.messages import ParametersMessage, ProgressMessage
-from common.transport.bus import Bus
-from learner.trainer import Trainer
+from eia_sec.common.config import RunConfig
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.learner.trainer import Trainer
 
 
 class ParameterPublisher:

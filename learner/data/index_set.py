@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import CheckpointError
-from learner.data import replay_kernels
+from eia_sec.common.errors import CheckpointError
+from eia_sec.learner.data import replay_kernels
 
 Places = NDArray[np.int64]
 

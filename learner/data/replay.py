@@ -1,9 +1,9 @@
 """The replay buffer: a ring of rows, from which transitions are drawn uniformly.
 
-The rows are those of `common.transitions`. Each observation is stored once: a row's next observation is that of its
-successor, found by index. If a chunk continues a trajectory of the previous chunk, its first row merges with the row
-that is already in the ring (see `learner.data.segments`). A successor is always newer than its row, so the successor of
-every row with a step is in the ring.
+The rows are those of `eia_sec.common.transitions`. Each observation is stored once: a row's next observation is that of
+its successor, found by index. If a chunk continues a trajectory of the previous chunk, its first row merges with the
+row that is already in the ring (see `eia_sec.learner.data.segments`). A successor is always newer than its row, so the
+successor of every row with a step is in the ring.
 
 With n-step targets (A5 with more rewards before the bootstrap), a transition from row t is
 
@@ -20,15 +20,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.errors import CheckpointError, ConfigError, EiaSecError
-from common.protocol.bfloat16 import Bits
-from common.team import Float32, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, Rows
-from learner.data import replay_kernels
-from learner.data.index_set import IndexSet, Places
-from learner.data.segments import Indices, OpenEnds
-from learner.data.tensor_snapshot import Frozen
-from learner.engine import Batch
+from eia_sec.common.errors import CheckpointError, ConfigError, EiaSecError
+from eia_sec.common.protocol.bfloat16 import Bits
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, Rows
+from eia_sec.learner.data import replay_kernels
+from eia_sec.learner.data.index_set import IndexSet, Places
+from eia_sec.learner.data.segments import Indices, OpenEnds
+from eia_sec.learner.data.tensor_snapshot import Frozen
+from eia_sec.learner.engine import Batch
 
 LARGE = ("observation", "action", "reward")
 SMALL = ("flag", "version", "successor", "uses")

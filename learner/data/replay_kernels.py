@@ -6,9 +6,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from common.transitions import TRANSITION
-from learner.networks.compilation import Function
-from learner.networks.kernels import Table
+from eia_sec.common.transitions import TRANSITION
+from eia_sec.learner.networks.compilation import Function
+from eia_sec.learner.networks.kernels import Table
 
 
 def compiled(function: Function) -> Function:

@@ -12,8 +12,8 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from common.errors import CheckpointError
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
 
 MAX_SOURCES = 4096
 """Most sources whose open ends are remembered; beyond that, the least recent one is forgotten."""

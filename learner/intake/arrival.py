@@ -3,10 +3,10 @@
 import threading
 from dataclasses import dataclass
 
-from common.protocol.messages import Envelope
-from common.transitions import Chunk
-from common.transport.bus import Incoming
-from learner.intake.ledger import LedgerSnapshot
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.transitions import Chunk
+from eia_sec.common.transport.bus import Incoming
+from eia_sec.learner.intake.ledger import LedgerSnapshot
 
 
 class OwedAnswer:

@@ -14,13 +14,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import RunConfig
-from common.environment import EnvironmentSpec
-from common.errors import SchemaError
-from common.protocol.chunk_messages import from_message
-from common.protocol.messages import ChunkMessage, Envelope
-from common.team import TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
+from eia_sec.common.config import RunConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol.chunk_messages import from_message
+from eia_sec.common.protocol.messages import ChunkMessage, Envelope
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
 
 MOST_TRACKED: Final = 4096
 """Most workers whose running episodes are tracked; beyond that, the least recent one is forgotten."""
@@ -71,7 +71,7 @@ class ChunkRules:
         """Return the chunk of a message, checked against the team.
 
         Raises:
-            VersionError, SchemaError: see `common.protocol.chunk_messages.from_message`.
+            VersionError, SchemaError: see `eia_sec.common.protocol.chunk_messages.from_message`.
         """
         # Before an object is made for each of its episodes, of which a small chunk may claim millions.
         steps = np.count_nonzero(message.flag & TRANSITION) if message.flag.dtype == np.uint8 else 0

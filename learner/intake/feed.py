@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from common.protocol.messages import ChunkAck
-from common.transitions import EpisodeSummary
-from learner.intake.arrival import Arrival
-from learner.intake.ledger import LedgerSnapshot
-from learner.intake.limits import DRAINED_CHUNKS
-from learner.intake.receiver import Receiver
-from learner.trainer import Trainer
+from eia_sec.common.protocol.messages import ChunkAck
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.learner.intake.arrival import Arrival
+from eia_sec.learner.intake.ledger import LedgerSnapshot
+from eia_sec.learner.intake.limits import DRAINED_CHUNKS
+from eia_sec.learner.intake.receiver import Receiver
+from eia_sec.learner.trainer import Trainer
 
 DRAIN_SECONDS: Final = 3.0
 """Longest time for which a draining learner takes in chunks that workers still hold."""

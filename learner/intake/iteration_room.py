@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from common.protocol.codec import NO_LIMIT
-from learner.intake.limits import IntakeLimits
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.learner.intake.limits import IntakeLimits
 
 REMEMBERED: Final = 2
 """Versions beyond L after which a worker that has delivered nothing is no longer counted."""

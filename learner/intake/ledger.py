@@ -5,8 +5,8 @@ import threading
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final, Literal, NamedTuple
 
-from common.errors import CheckpointError
-from common.protocol.messages import Envelope
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.protocol.messages import Envelope
 
 Status = Literal["accepted", "duplicate", "gap"]
 ROWS: Final = 16

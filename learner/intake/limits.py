@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config import RunConfig
+from eia_sec.common.config import RunConfig
 
 ITERATION_CHUNKS: Final = 64
 """Least queue of a learner that learns on policy; it always holds the chunks of an iteration."""

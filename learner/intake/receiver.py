@@ -9,25 +9,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import ProtocolError, SchemaError
-from common.history.history import Entry, History
-from common.incarnation import plausible
-from common.process import log
-from common.protocol import keys
-from common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
-from common.protocol.codec import NO_LIMIT
-from common.protocol.frame import Data
-from common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
-from common.team import TeamSpec
-from common.transitions import Chunk
-from common.transport.bus import Incoming, Server
-from learner.intake.arrival import Arrival, OwedAnswer
-from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
-from learner.intake.iteration_room import IterationRoom
-from learner.intake.ledger import Ledger
-from learner.intake.limits import IntakeLimits
-from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
-from learner.intake.throttle import Throttle
+from eia_sec.common.errors import ProtocolError, SchemaError
+from eia_sec.common.history.history import Entry, History
+from eia_sec.common.incarnation import plausible
+from eia_sec.common.process import log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.common.protocol.frame import Data
+from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import Chunk
+from eia_sec.common.transport.bus import Incoming, Server
+from eia_sec.learner.intake.arrival import Arrival, OwedAnswer
+from eia_sec.learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
+from eia_sec.learner.intake.iteration_room import IterationRoom
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
+from eia_sec.learner.intake.throttle import Throttle
 
 FULL_SECONDS: Final = 0.001
 """Pause between two checks of a full queue."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from common.transport.bus import Incoming
+from eia_sec.common.transport.bus import Incoming
 
 HOLD_SECONDS: Final = 5.0
 """Delay of a refusal, s; less than a worker's time limit, so that the reason reaches it."""

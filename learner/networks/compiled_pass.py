@@ -1,4 +1,4 @@
-"""A `Pass` (see `learner.networks.stacked`) that runs compiled kernels on one or more processor cores."""
+"""A `Pass` (see `eia_sec.learner.networks.stacked`) that runs compiled kernels on one or more processor cores."""
 
 import itertools
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from learner.networks import kernels
-from learner.networks.kernels import (
+from eia_sec.learner.networks import kernels
+from eia_sec.learner.networks.kernels import (
     COLUMNS,
     FAN_IN,
     FAN_OUT,
@@ -25,8 +25,8 @@ from learner.networks.kernels import (
     WIDTH,
     Table,
 )
-from learner.networks.matrix_products import piece_size
-from learner.networks.stacked import Forward, ForwardCounter, Networks, Parameters, Pass, StackedPass
+from eia_sec.learner.networks.matrix_products import piece_size
+from eia_sec.learner.networks.stacked import Forward, ForwardCounter, Networks, Parameters, Pass, StackedPass
 
 
 def make_pass(networks: Networks, like: Tensor, *, cores: int) -> Pass:
@@ -69,7 +69,7 @@ def storage(tensor: Tensor) -> NDArray[Any]:
 
 
 class CompiledPass:
-    """A `Pass` that calls the functions of `learner.networks.kernels`."""
+    """A `Pass` that calls the functions of `eia_sec.learner.networks.kernels`."""
 
     def __init__(self, networks: Networks, like: Tensor, cores: int) -> None:
         self.networks = networks
@@ -135,7 +135,7 @@ class CompiledPass:
 
 
 def _table(networks: Networks) -> Table:
-    """Return where each network's parts start: the table of `learner.networks.kernels`."""
+    """Return where each network's parts start: the table of `eia_sec.learner.networks.kernels`."""
     rows = np.zeros((sum(stack.count for stack in networks.stacks), COLUMNS), np.int64)
     n = output = 0
     for stack, first, second, head in zip(networks.stacks, *networks.typed, strict=True):

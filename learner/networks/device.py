@@ -2,7 +2,7 @@
 
 import torch
 
-from common.errors import ConfigError
+from eia_sec.common.errors import ConfigError
 
 
 def usable_device(name: str) -> torch.device:

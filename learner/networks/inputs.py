@@ -5,8 +5,8 @@ The actor of agent i sees the row [1, o_i], and its critic sees
     [1, o_i, a_i]                                                                      critic_scope local
     [1, o_1 .. o_n, a_1 .. a_n]                                                        joint, the same for all agents
 
-The leading one multiplies the bias (see `learner.networks.stacked`). A critic that a type shares must know whose value
-it predicts. In the joint scope it therefore sees the row in the agent's own order,
+The leading one multiplies the bias (see `eia_sec.learner.networks.stacked`). A critic that a type shares must know
+whose value it predicts. In the joint scope it therefore sees the row in the agent's own order,
 
     [1, o_i, a_i, o of own type's others, a of own type's others, (o, a) of each other type]
 
@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.team import TeamSpec
+from eia_sec.common.team import TeamSpec
 
 
 def view_columns(team: TeamSpec, kind: int) -> list[list[int]]:

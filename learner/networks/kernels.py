@@ -1,7 +1,8 @@
 """The learner's arithmetic compiled for processor cores: passes of small networks, and Adam.
 
 Networks are computed one after another, so that a network's numbers stay in the cache. All arrays are flat and
-contiguous; a table says where each network's parts start. The products are those of `learner.networks.matrix_products`.
+contiguous; a table says where each network's parts start. The products are those of
+`eia_sec.learner.networks.matrix_products`.
 
 Functions whose names end in `_on_cores` divide the same work: `bounds` says which rows of the table, or which numbers,
 each core takes. A network's own numbers do not depend on the number of cores.
@@ -13,8 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from learner.networks.compilation import compiled, shared
-from learner.networks.matrix_products import Floats, multiply, multiply_by_transposed, multiply_transposed
+from eia_sec.learner.networks.compilation import compiled, shared
+from eia_sec.learner.networks.matrix_products import Floats, multiply, multiply_by_transposed, multiply_transposed
 
 Table = NDArray[np.int64]
 
@@ -55,7 +56,7 @@ def forward(
         h1: activations of the first layer [all rows * hidden], written.
         h2: those of the second, written.
         output: written.
-        piece: see `learner.networks.matrix_products.piece_size`.
+        piece: see `eia_sec.learner.networks.matrix_products.piece_size`.
     """
     width = table[0, WIDTH]
     none = np.zeros(width, h1.dtype)

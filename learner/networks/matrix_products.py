@@ -3,7 +3,8 @@
 OpenBLAS, which SciPy ships, reorders both factors before it multiplies them. That doubles the time of small products.
 With AVX-512 it has kernels that skip the reordering, for products of up to a million multiplications whose
 second factor, as we store it, is not transposed. So this module cuts larger products up, and transposes a factor itself
-where BLAS would have to. On other processors products stay whole. `python -m benchmarks.products` measures the gain.
+where BLAS would have to. On other processors products stay whole. `python -m research.benchmarks.products` measures the
+gain.
 
 The cuts depend on the shape and the processor alone, so the same run gives the same numbers.
 """
@@ -16,7 +17,7 @@ from llvmlite import binding
 from numba import types
 from numpy.typing import NDArray
 
-from learner.networks.compilation import compiled
+from eia_sec.learner.networks.compilation import compiled
 
 Floats = NDArray[Any]
 """Contiguous float32 or float64; all arrays of one call have the same type."""

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.team import Float32, TeamSpec
+from eia_sec.common.team import Float32, TeamSpec
 
 MIN_STD: Final = 1e-2
 """Smaller standard deviations are raised to this, so that an input that hardly ever changes is not amplified."""

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learner.networks import kernels
-from learner.networks.compiled_pass import even
+from eia_sec.learner.networks import kernels
+from eia_sec.learner.networks.compiled_pass import even
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999

@@ -7,8 +7,8 @@ neighbours and are multiplied together; the hidden layer of all types is one pro
 
 Forward, for inputs x with the leading one:  h1 = relu(x W1),  h2 = relu([1 h1] W2),  y = [1 h2] W3.
 
-`StackedPass` computes this with torch on any device; `learner.networks.compiled_pass` does the same on processor
-cores, network by network, so that a network's numbers stay in the cache.
+`StackedPass` computes this with torch on any device; `eia_sec.learner.networks.compiled_pass` does the same on
+processor cores, network by network, so that a network's numbers stay in the cache.
 """
 
 import copy
@@ -20,7 +20,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from common.actors import layer_shapes
+from eia_sec.common.actors import layer_shapes
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Networks:
         return [blocks[kind].weights(flat) for blocks in self.typed]
 
     def load(self, flat: Tensor, kind: int, parameters: Tensor) -> None:
-        """Write one stack's parameters, [count, P] in the order of `common.actors`, into a flat vector."""
+        """Write one stack's parameters, [count, P] in the order of `eia_sec.common.actors`, into a flat vector."""
         stack = self.stacks[kind]
         shapes = layer_shapes(stack.inputs, self.hidden, stack.outputs)
         pieces = torch.split(parameters.to(flat), [int(torch.Size(shape).numel()) for shape in shapes], dim=1)
@@ -156,7 +156,7 @@ class Networks:
             layer[:, 0].copy_(bias)
 
     def export(self, flat: Tensor, kind: int) -> Tensor:
-        """Return a copy of one stack's parameters as [count, P] in the order of `common.actors`."""
+        """Return a copy of one stack's parameters as [count, P] in the order of `eia_sec.common.actors`."""
         pieces = []
         for layer in self.layers_of(flat, kind):
             pieces += [layer[:, 1:].flatten(1), layer[:, 0]]

@@ -10,9 +10,9 @@ A segment's last row bootstraps: its V stands for the rest of the return. Nothin
 import numpy as np
 from numpy.typing import NDArray
 
-from common.team import Float32
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED
-from learner.networks.compilation import compiled
+from eia_sec.common.team import Float32
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from eia_sec.learner.networks.compilation import compiled
 
 
 def advantages(
@@ -23,7 +23,7 @@ def advantages(
     Args:
         reward: [R, agents] scaled rewards.
         value: [R, agents] V of each row's observation.
-        flag: [R] of `common.transitions`.
+        flag: [R] of `eia_sec.common.transitions`.
         discount: [agents] gamma.
         decay: lambda.
         time_limit_ends: whether an episode that the time limit ends counts as terminal.

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor
 
-from learner.networks.cuda_graphs import capture
-from learner.on_policy.minibatch import Minibatch
+from eia_sec.learner.networks.cuda_graphs import capture
+from eia_sec.learner.on_policy.minibatch import Minibatch
 
 MOST_GRAPHS: Final = 16
 """How many graphs are kept: with three types, those of two sizes. Each has memory of its own."""

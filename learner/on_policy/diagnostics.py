@@ -19,9 +19,9 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from common.errors import CheckpointError
-from common.team import Float32, TeamSpec
-from learner.checkpoint.trainer_state import counter, finite
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.learner.checkpoint.trainer_state import counter, finite
 
 NAMES: Final = (
     "actor_loss",

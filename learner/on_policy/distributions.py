@@ -5,9 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from common.actions.sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
-from common.actors import LOG_STD_RANGE
-from common.team import GroupSpec
+from eia_sec.common.actions.sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
+from eia_sec.common.actors import LOG_STD_RANGE
+from eia_sec.common.team import GroupSpec
 
 
 class Evaluated(NamedTuple):

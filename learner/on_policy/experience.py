@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.config import OnPolicyConfig
-from common.errors import CheckpointError, SchemaError
-from common.protocol.bfloat16 import to_bits
-from common.team import TeamSpec
-from common.transitions import TRANSITION, Chunk, Rows
-from learner.data.array_tensors import as_array, as_tensor
-from learner.networks.side_by_side import SideBySide
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.errors import CheckpointError, SchemaError
+from eia_sec.common.protocol.bfloat16 import to_bits
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import TRANSITION, Chunk, Rows
+from eia_sec.learner.data.array_tensors import as_array, as_tensor
+from eia_sec.learner.networks.side_by_side import SideBySide
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
 STATE: Final = "state"

@@ -14,13 +14,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.config import OnPolicyConfig
-from common.team import Float32, TeamSpec, slices
-from common.transitions import TRANSITION, Rows
-from learner.on_policy.experience import split
-from learner.on_policy.policies import Policies
-from learner.on_policy.sequences import SequenceLayout, Sequences, TypeSequences, Unroll
-from learner.on_policy.values import GroupValue
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.team import Float32, TeamSpec, slices
+from eia_sec.common.transitions import TRANSITION, Rows
+from eia_sec.learner.on_policy.experience import split
+from eia_sec.learner.on_policy.policies import Policies
+from eia_sec.learner.on_policy.sequences import SequenceLayout, Sequences, TypeSequences, Unroll
+from eia_sec.learner.on_policy.values import GroupValue
 
 
 class IterationStates:

@@ -2,7 +2,7 @@
 
 A *stack* is one network that all agents of a type share, or one for each. The parameters of its S networks are one
 tensor [S, P], so that an optimiser's step is a few large operations. Its layers are six views with a leading axis S, in
-the order of `common.actors`: W1, b1, W2, b2, W3, b3.
+the order of `eia_sec.common.actors`: W1, b1, W2, b2, W3, b3.
 """
 
 import math
@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from common.actors import layer_shapes
-from common.gru import Memory
-from common.seeds import stream
-from common.team import Float32
-from learner.on_policy.sequences import Sequences, Unroll
+from eia_sec.common.actors import layer_shapes
+from eia_sec.common.gru import Memory
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32
+from eia_sec.learner.on_policy.sequences import Sequences, Unroll
 
 
 class Stack(nn.Module):
@@ -107,11 +107,11 @@ class Stack(nn.Module):
         return torch.addmm(b3, h.float(), w3)
 
     def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:
-        """Return outputs and states, which only networks with memory have (`learner.on_policy.recurrent`)."""
+        """Return outputs and states, which only networks with memory have (`eia_sec.learner.on_policy.recurrent`)."""
         raise NotImplementedError("networks without memory have no states.")
 
     def export(self) -> Float32:
-        """Return a copy of the parameters, [S, P] float32, in the order of `common.actors`."""
+        """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`."""
         return self.flat.detach().cpu().numpy().copy()
 
     @torch.no_grad()

@@ -1,6 +1,6 @@
 """The actors of all types, and PPO's loss for them (Schulman et al. 2017).
 
-ratio   = pi(a | o) / pi_old(a | o)                pi_old by the objective, see `learner.on_policy.updates`
+ratio   = pi(a | o) / pi_old(a | o)                pi_old by the objective, see `eia_sec.learner.on_policy.updates`
 L_actor = -mean(min(ratio A, clip(ratio, 1 - c, 1 + c) A)) - w_H mean(H(pi(. | o)))
 """
 
@@ -10,14 +10,14 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from common.actors import Head, TeamActors, actor_outputs
-from common.config import OnPolicyConfig
-from common.team import Float32, GroupSpec, TeamSpec
-from learner.on_policy.distributions import evaluate
-from learner.on_policy.networks import Stack
-from learner.on_policy.preferences import FOLLOW, prefer
-from learner.on_policy.recurrent import make_stack
-from learner.on_policy.sequences import Sequences
+from eia_sec.common.actors import Head, TeamActors, actor_outputs
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.team import Float32, GroupSpec, TeamSpec
+from eia_sec.learner.on_policy.distributions import evaluate
+from eia_sec.learner.on_policy.networks import Stack
+from eia_sec.learner.on_policy.preferences import FOLLOW, prefer
+from eia_sec.learner.on_policy.recurrent import make_stack
+from eia_sec.learner.on_policy.sequences import Sequences
 
 MOST_LOG_RATIO: Final = 20.0
 """Largest logarithm of the ratio of two policies; exp of 89 is more than a 32-bit number holds."""

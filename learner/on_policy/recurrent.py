@@ -1,6 +1,6 @@
-"""Networks with memory: a hidden ReLU layer, a gated recurrent unit (`common.gru`) and an output layer.
+"""Networks with memory: a hidden ReLU layer, a gated recurrent unit (`eia_sec.common.gru`) and an output layer.
 
-A stack has eight layers with a leading axis S, in the order of `common.actors`: W1, b1, W, b, U, c, W3, b3.
+A stack has eight layers with a leading axis S, in the order of `eia_sec.common.actors`: W1, b1, W, b, U, c, W3, b3.
 """
 
 import math
@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.config import OnPolicyConfig
-from common.gru import Memory
-from learner.on_policy.networks import Stack, orthogonal
-from learner.on_policy.sequences import Sequences, Unroll
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.gru import Memory
+from eia_sec.learner.on_policy.networks import Stack, orthogonal
+from eia_sec.learner.on_policy.sequences import Sequences, Unroll
 
 GATES = 3
 """Matrices side by side in W and in U."""
@@ -73,7 +73,7 @@ class RecurrentStack(Stack):
 
 
 def _next_state(asked: Tensor, state: Tensor, u: Tensor, c: Tensor) -> Tensor:
-    """Return h' of `common.gru`.
+    """Return h' of `eia_sec.common.gru`.
 
     Args:
         asked: [S, B, 3 h] x W + b.

@@ -1,8 +1,8 @@
 """Sequences: how networks with memory go through an iteration's steps.
 
-Rows hold equally many steps of E environments (`common.transitions.Rows`). These are cut into sequences of L steps:
-number b E + e holds the steps b L to (b + 1) L - 1 of environment e. Gradients flow back to a sequence's beginning and
-no further. Where an episode begins inside a sequence, the state is set to 0, which cuts it there.
+Rows hold equally many steps of E environments (`eia_sec.common.transitions.Rows`). These are cut into sequences of L
+steps: number b E + e holds the steps b L to (b + 1) L - 1 of environment e. Gradients flow back to a sequence's
+beginning and no further. Where an episode begins inside a sequence, the state is set to 0, which cuts it there.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.transitions import TRANSITION, Rows
+from eia_sec.common.transitions import TRANSITION, Rows
 
 LARGEST_BATCH = 4096
 """Rows that networks go through at once without gradients."""

@@ -13,13 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common.actors import TeamActors
-from common.config import RunConfig
-from common.errors import CheckpointError
-from common.seeds import stream
-from common.team import Float32, TeamSpec
-from common.transitions import Chunk
-from learner.checkpoint.trainer_state import (
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import Chunk
+from eia_sec.learner.checkpoint.trainer_state import (
     checked_tensors,
     counter,
     finite,
@@ -27,11 +27,11 @@ from learner.checkpoint.trainer_state import (
     require_moments,
     restored_random,
 )
-from learner.data.tensor_snapshot import Frozen
-from learner.intake.limits import DRAINED_CHUNKS
-from learner.on_policy.experience import Experience
-from learner.on_policy.updates import Updates, require_one_count
-from learner.trainer import Trainer, flushed_denormals
+from eia_sec.learner.data.tensor_snapshot import Frozen
+from eia_sec.learner.intake.limits import DRAINED_CHUNKS
+from eia_sec.learner.on_policy.experience import Experience
+from eia_sec.learner.on_policy.updates import Updates, require_one_count
+from eia_sec.learner.trainer import Trainer, flushed_denormals
 
 NETWORKS = "networks."
 STATE = "iteration_state."

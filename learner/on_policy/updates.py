@@ -23,24 +23,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from common.config import LearnerConfig, OnPolicyConfig
-from common.errors import CheckpointError
-from common.team import Float32, TeamSpec
-from common.transitions import Rows
-from learner.data.array_tensors import as_tensor
-from learner.networks.device import product_dtype
-from learner.networks.fused_adam import FusedAdam
-from learner.networks.side_by_side import SideBySide
-from learner.on_policy.advantages import advantages
-from learner.on_policy.captured_updates import CapturedUpdates
-from learner.on_policy.diagnostics import IterationDiagnostics
-from learner.on_policy.experience import Observations, split_actions, step_rows
-from learner.on_policy.iteration_states import IterationStates
-from learner.on_policy.minibatch import Minibatch
-from learner.on_policy.networks import Stack
-from learner.on_policy.policies import Policies
-from learner.on_policy.sequences import TypeSequences
-from learner.on_policy.values import make_values
+from eia_sec.common.config import LearnerConfig, OnPolicyConfig
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import Rows
+from eia_sec.learner.data.array_tensors import as_tensor
+from eia_sec.learner.networks.device import product_dtype
+from eia_sec.learner.networks.fused_adam import FusedAdam
+from eia_sec.learner.networks.side_by_side import SideBySide
+from eia_sec.learner.on_policy.advantages import advantages
+from eia_sec.learner.on_policy.captured_updates import CapturedUpdates
+from eia_sec.learner.on_policy.diagnostics import IterationDiagnostics
+from eia_sec.learner.on_policy.experience import Observations, split_actions, step_rows
+from eia_sec.learner.on_policy.iteration_states import IterationStates
+from eia_sec.learner.on_policy.minibatch import Minibatch
+from eia_sec.learner.on_policy.networks import Stack
+from eia_sec.learner.on_policy.policies import Policies
+from eia_sec.learner.on_policy.sequences import TypeSequences
+from eia_sec.learner.on_policy.values import make_values
 
 VALUE_BATCH = 4096
 """Rows whose values are computed at once."""

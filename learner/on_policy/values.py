@@ -16,12 +16,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from common.config import OnPolicyConfig
-from common.team import GroupSpec, TeamSpec
-from learner.on_policy.networks import Stack
-from learner.on_policy.policies import initialisation_names
-from learner.on_policy.recurrent import make_stack
-from learner.on_policy.sequences import Sequences, Unroll
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.learner.on_policy.networks import Stack
+from eia_sec.learner.on_policy.policies import initialisation_names
+from eia_sec.learner.on_policy.recurrent import make_stack
+from eia_sec.learner.on_policy.sequences import Sequences, Unroll
 
 
 class GroupValue(nn.Module, ABC):

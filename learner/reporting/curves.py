@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from common.team import TeamSpec
-from common.transitions import EpisodeSummary
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
 
 SMOOTHED_EPISODES: Final = 40
 """Episodes in a moving average."""

@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
-from common.imitation import ImitationEvent
-from common.team import TeamSpec
-from learner.reporting.open_file import names_open_file
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.team import TeamSpec
+from eia_sec.learner.reporting.open_file import names_open_file
 
 
 class MetricsLog:

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from common.environment import EnvironmentSpec
-from common.imitation import ImitationEvent
-from common.process import Presence
-from common.transitions import EpisodeSummary
-from learner.reporting.curves import Curves
-from learner.reporting.metrics_log import MetricsLog, imitation_record
-from learner.reporting.tensorboard import TensorBoardWriter, flattened
-from learner.trainer import Trainer
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.process import Presence
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.learner.reporting.curves import Curves
+from eia_sec.learner.reporting.metrics_log import MetricsLog, imitation_record
+from eia_sec.learner.reporting.tensorboard import TensorBoardWriter, flattened
+from eia_sec.learner.trainer import Trainer
 
 IMITATIONS: Final = 4
 """Number of imitation events in a metric message, the newest ones."""

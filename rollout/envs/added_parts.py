@@ -3,14 +3,14 @@
 import math
 from typing import Final, NamedTuple
 
-from common.config import FarmConfig, WorldConfig
-from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS, advice_sizes
-from rollout.sim.kernel.plans.view import SHARE
-from rollout.sim.kernel.views.constants import field_range
-from rollout.sim.kernel.views.fields import SCALE
-from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
-from rollout.sim.kernel.views.routes import MOST_OFFSET
-from rollout.sim.kernel.views.units import MOST
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS, advice_sizes
+from eia_sec.rollout.sim.kernel.plans.view import SHARE
+from eia_sec.rollout.sim.kernel.views.constants import field_range
+from eia_sec.rollout.sim.kernel.views.fields import SCALE
+from eia_sec.rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
+from eia_sec.rollout.sim.kernel.views.routes import MOST_OFFSET
+from eia_sec.rollout.sim.kernel.views.units import MOST
 
 ROUNDING: Final = 1.0 + 1e-9
 """Allowance for differences of float64 distances over a short step before they are rounded to float32."""

@@ -1,6 +1,6 @@
 """The interface between a worker and its environments: a batch of environments of one kind.
 
-    environments = make_environments(config, count)                 # rollout.envs.registry
+    environments = make_environments(config, count)                 # eia_sec.rollout.envs.registry
     environments.reset(index, scenario_seed, episode_seed)          # each index before the first step
     while not environments.ended.any():
         environments.step(action)                                   # then read observation, reward, terminated
@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.environment import EnvironmentSpec
-from common.team import Float32, TeamSpec
-from common.transitions import EpisodeSummary
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
 
 
 class Environments(Protocol):

@@ -5,9 +5,9 @@ import secrets
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from common.config import RolloutConfig
-from common.errors import ConfigError, SimulationError
-from common.seeds import derive, stream
+from eia_sec.common.config import RolloutConfig
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.seeds import derive, stream
 
 TRAINING_FARMS: Final = range(RolloutConfig.train_farms)
 """Seeds of the farms that training uses (W26)."""

@@ -1,6 +1,6 @@
 """The farm as a PettingZoo environment.
 
-    from rollout.envs.parallel_env import parallel_env
+    from eia_sec.rollout.envs.parallel_env import parallel_env
     env = parallel_env()
     observations, infos = env.reset(seed=0)
     while env.agents:
@@ -20,15 +20,15 @@ from gymnasium.spaces import Box
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
-from common.config import FarmConfig
-from common.config.presets import preset
-from common.errors import SimulationError
-from common.team import Float32
-from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream
-from rollout.envs.spaces import action_box, observation_box, row_box
-from rollout.heuristics.farms import make_farms
-from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
-from rollout.sim.batch import REWARD_PARTS
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import SimulationError
+from eia_sec.common.team import Float32
+from eia_sec.rollout.envs.episodes import TRAINING_FARMS, EpisodeStream
+from eia_sec.rollout.envs.spaces import action_box, observation_box, row_box
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
+from eia_sec.rollout.sim.batch import REWARD_PARTS
 
 Infos = dict[str, dict[str, Any]]
 Observations = dict[str, Float32]

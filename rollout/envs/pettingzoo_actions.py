@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from common.team import MOST_BRANCHES, MOST_OPTIONS, Float32
+from eia_sec.common.team import MOST_BRANCHES, MOST_OPTIONS, Float32
 
 
 def is_bounded_box(space: spaces.Space[Any]) -> bool:

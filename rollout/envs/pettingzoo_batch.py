@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import EnvConfig
-from common.config.environment import MOST_EPISODE_STEPS
-from common.environment import EnvironmentSpec
-from common.errors import SimulationError
-from common.seeds import derive
-from common.team import Float32
-from common.transitions import EpisodeSummary
-from rollout.envs.pettingzoo_actions import RowActions
-from rollout.envs.pettingzoo_spec import describe, make_parallel
+from eia_sec.common.config import EnvConfig
+from eia_sec.common.config.environment import MOST_EPISODE_STEPS
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import SimulationError
+from eia_sec.common.seeds import derive
+from eia_sec.common.team import Float32
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.envs.pettingzoo_actions import RowActions
+from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
 
 
 class PettingZooBatch:

@@ -13,8 +13,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from common.errors import ConfigError, SimulationError
-from common.team import Float32
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.team import Float32
 
 MASK: Final = "action_mask"
 """Key of a mask in an observation or in an agent's info."""

@@ -10,12 +10,12 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from common.config import EnvConfig
-from common.errors import ConfigError
-from common.names import is_name
-from common.team import GroupSpec, TeamSpec
-from rollout.envs.pettingzoo_actions import action_size, choices_of, is_bounded_box, is_choice
-from rollout.envs.pettingzoo_observations import AgentView, holds_mask, informed_agents
+from eia_sec.common.config import EnvConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.names import is_name
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.envs.pettingzoo_actions import action_size, choices_of, is_bounded_box, is_choice
+from eia_sec.rollout.envs.pettingzoo_observations import AgentView, holds_mask, informed_agents
 
 CONTINUOUS: Final = "continuous_actions"
 """The argument that asks environments with a choice, such as MPE's, for Box actions."""
@@ -105,7 +105,7 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
         prefixes: maps a prefix to its type.
 
     Raises:
-        ConfigError: an observation cannot be flattened, or a type's name is not valid (see `common.names`).
+        ConfigError: an observation cannot be flattened, or a type's name is not valid (see `eia_sec.common.names`).
     """
     views = _views(environment)
     shapes = {name: _shape(environment.action_space(name), view) for name, view in views.items()}

@@ -1,36 +1,36 @@
 """The environments that a run can use, by `env.name`.
 
-To add one to this package, write a class that implements `rollout.envs.base.Environments` and add a line to FACTORIES.
-Its key is the value of `env.name`, an identifier without a colon. An environment outside this package needs no line:
-name any PettingZoo parallel environment as module:name.
+To add one to this package, write a class that implements `eia_sec.rollout.envs.base.Environments` and add a line to
+FACTORIES. Its key is the value of `env.name`, an identifier without a colon. An environment outside this package needs
+no line: name any PettingZoo parallel environment as module:name.
 """
 
 from collections.abc import Callable
 from contextlib import closing
 from typing import Final
 
-from common.config import RunConfig
-from common.config.action_kinds import discrete_algorithms
-from common.config.environment import FARM
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError
-from common.farm import farm_environment, farm_of
-from common.protocol.message_sizes import require_frames
-from common.team import TeamSpec
-from rollout.envs.base import Environments
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.action_kinds import discrete_algorithms
+from eia_sec.common.config.environment import FARM
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_environment, farm_of
+from eia_sec.common.protocol.message_sizes import require_frames
+from eia_sec.common.team import TeamSpec
+from eia_sec.rollout.envs.base import Environments
 
 Factory = Callable[[RunConfig, int, bool], Environments]
 """Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
 
 def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
-    from rollout.heuristics.farms import make_farms  # noqa: PLC0415  (loads the simulator)
+    from eia_sec.rollout.heuristics.farms import make_farms  # noqa: PLC0415  (loads the simulator)
 
     return make_farms(config.farm, count, config.rollout.threads, hindsight)
 
 
 def _pettingzoo(config: RunConfig, count: int) -> Environments:
-    from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
+    from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
     return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions)
 
@@ -82,8 +82,8 @@ def _spec(config: RunConfig) -> EnvironmentSpec:
     if farm is None or farm.observation.advice or farm.battery.watched:
         with closing(make_environments(config, 1)) as environments:
             return environments.spec
-    from rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
-    from rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
+    from eia_sec.rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
+    from eia_sec.rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
 
     # Refuses farms that cannot be simulated.
     constants(farm, cell_counts(farm.world))

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from gymnasium.spaces import Box
 
-from common.config import FarmConfig, WorldConfig
-from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from common.team import Float32
-from rollout.envs.added_parts import Part, added_parts
-from rollout.sim.kernel.observation import SENSOR_SCALE
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from eia_sec.common.team import Float32
+from eia_sec.rollout.envs.added_parts import Part, added_parts
+from eia_sec.rollout.sim.kernel.observation import SENSOR_SCALE
 
 DIAGONAL: Final = math.sqrt(0.5)
 """Largest component of D_VDF and D_AoI, which are unit diagonals or 0."""

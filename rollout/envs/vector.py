@@ -13,14 +13,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from common.team import Float32, TeamSpec
-from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream, whole
-from rollout.envs.spaces import action_box, observation_box
-from rollout.heuristics.farms import make_farms
-from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.rollout.envs.episodes import TRAINING_FARMS, EpisodeStream, whole
+from eia_sec.rollout.envs.spaces import action_box, observation_box
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
 
 Observations = dict[str, Float32]
 Mask = NDArray[np.bool_]

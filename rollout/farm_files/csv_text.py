@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-from common.config.farm.sites import MAX_SENSORS
-from common.errors import ConfigError
-from rollout.farm_files.survey import MARKS, Frame, Mark, Pair, Survey, quote
+from eia_sec.common.config.farm.sites import MAX_SENSORS
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files.survey import MARKS, Frame, Mark, Pair, Survey, quote
 
 COLUMNS: Final[dict[Frame, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "farm": (("x",), ("y",)),

@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.errors import ConfigError
-from rollout.farm_files.csv_text import format_csv, parse_csv
-from rollout.farm_files.geojson import format_geojson, parse_geojson
-from rollout.farm_files.projection import TangentPlane
-from rollout.farm_files.survey import GivenFarm, Pair, settle
-from rollout.sim.layout import make_layout
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files.csv_text import format_csv, parse_csv
+from eia_sec.rollout.farm_files.geojson import format_geojson, parse_geojson
+from eia_sec.rollout.farm_files.projection import TangentPlane
+from eia_sec.rollout.farm_files.survey import GivenFarm, Pair, settle
+from eia_sec.rollout.sim.layout import make_layout
 
 MAX_BYTES: Final = 8 * 1024 * 1024
 """Largest farm file that is read; 10,000 sensors take 0.3 MB as CSV and 1.5 MB as GeoJSON."""

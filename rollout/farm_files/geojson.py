@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NoReturn
 
-from common.config.farm.polygons import MAX_CORNERS as POLYGON_CORNERS
-from common.config.farm.sites import MAX_SENSORS
-from common.config.farm.stress import MAX_AREAS, MOST_GROWTH
-from common.config.farm.zones import MAX_ZONES
-from common.errors import ConfigError
-from rollout.farm_files.survey import MARKS, Area, Mark, Pair, Survey, quote
+from eia_sec.common.config.farm.polygons import MAX_CORNERS as POLYGON_CORNERS
+from eia_sec.common.config.farm.sites import MAX_SENSORS
+from eia_sec.common.config.farm.stress import MAX_AREAS, MOST_GROWTH
+from eia_sec.common.config.farm.zones import MAX_ZONES
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files.survey import MARKS, Area, Mark, Pair, Survey, quote
 
 MAX_CORNERS: Final = 10_000
 """Most corners of a field's boundary."""

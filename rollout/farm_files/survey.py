@@ -9,13 +9,13 @@ from typing import Final, Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, ZoneConfig
-from common.config.farm.polygons import Polygon
-from common.config.farm.sites import MAX_SENSORS
-from common.config.farm.stress import Areas
-from common.config.farm.zones import Zones
-from common.errors import ConfigError
-from rollout.farm_files.projection import TangentPlane
+from eia_sec.common.config import FarmConfig, ZoneConfig
+from eia_sec.common.config.farm.polygons import Polygon
+from eia_sec.common.config.farm.sites import MAX_SENSORS
+from eia_sec.common.config.farm.stress import Areas
+from eia_sec.common.config.farm.zones import Zones
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files.projection import TangentPlane
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]

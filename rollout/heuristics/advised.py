@@ -7,15 +7,15 @@ Sources: action advising (Torrey and Taylor 2013), residual policy learning (Sil
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import POSITION, SIGNS, Headings, Lattice, NineMoves
-from common.config import FarmConfig
-from common.errors import ConfigError
-from common.farm import advice_columns
-from common.team import Float32, GroupSpec
-from rollout.heuristics.composite import CompositePolicy
-from rollout.heuristics.failsafe import FailsafeFarms
-from rollout.heuristics.registry import RELAYS, TASKS, heuristic
-from rollout.sim.boxes import Array
+from eia_sec.common.actions.adapters import POSITION, SIGNS, Headings, Lattice, NineMoves
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import advice_columns
+from eia_sec.common.team import Float32, GroupSpec
+from eia_sec.rollout.heuristics.composite import CompositePolicy
+from eia_sec.rollout.heuristics.failsafe import FailsafeFarms
+from eia_sec.rollout.heuristics.registry import RELAYS, TASKS, heuristic
+from eia_sec.rollout.sim.boxes import Array
 
 
 class AdvisedFarms(FailsafeFarms):

@@ -8,15 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.farm.polygons import inside_any
-from common.farm import farm_team
-from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.layout import cell_counts
-from rollout.sim.stations import station_places
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import inside_any
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power
+from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.stations import station_places
 
 RESERVE: Final = 0.2
 """Share of the capacity that heuristics keep for the station."""

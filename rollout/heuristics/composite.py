@@ -19,15 +19,15 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import BatteryConfig, FailureConfig, FarmConfig
-from common.team import Float32
-from rollout.heuristics.charging import Charging
-from rollout.heuristics.navigation import Navigation
-from rollout.heuristics.steering import AWAY, loiter, loiter_speed
-from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array
-from rollout.sim.layout import Layout
-from rollout.sim.stress import known_cycles
+from eia_sec.common.config import BatteryConfig, FailureConfig, FarmConfig
+from eia_sec.common.team import Float32
+from eia_sec.rollout.heuristics.charging import Charging
+from eia_sec.rollout.heuristics.navigation import Navigation
+from eia_sec.rollout.heuristics.steering import AWAY, loiter, loiter_speed
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.stress import known_cycles
 
 RELAYS: Final = 0
 MONITORS: Final = 1

@@ -10,12 +10,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from common.config import FarmConfig
-from common.team import Float32
-from rollout.heuristics.charging import Charging
-from rollout.heuristics.navigation import Navigation
-from rollout.heuristics.steering import AWAY
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.team import Float32
+from eia_sec.rollout.heuristics.charging import Charging
+from eia_sec.rollout.heuristics.navigation import Navigation
+from eia_sec.rollout.heuristics.steering import AWAY
+from eia_sec.rollout.sim.batch import FarmBatch
 
 
 class FailsafeFarms(FarmBatch):

@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from rollout.heuristics.steering import keep_apart, towards
-from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array, possible, reach
-from rollout.sim.detours import Airspace, airspace_of
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.heuristics.steering import keep_apart, towards
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.boxes import Array, possible, reach
+from eia_sec.rollout.sim.detours import Airspace, airspace_of
 
 
 class Navigation:

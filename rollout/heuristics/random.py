@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from common.actions.sampling import sample_options
-from common.seeds import stream
-from common.team import Float32, TeamSpec
-from rollout.envs.base import Environments
+from eia_sec.common.actions.sampling import sample_options
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.rollout.envs.base import Environments
 
 
 class RandomPolicy:

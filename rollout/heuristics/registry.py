@@ -8,12 +8,12 @@ in WHOLE.
 from collections.abc import Callable
 from typing import Any, Final
 
-from common.config import FarmConfig
-from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
-from rollout.heuristics.random import RandomPolicy
-from rollout.heuristics.relays import CentroidRelays, CoverageRelays, SearchRelays
-from rollout.heuristics.static import StaticPolicy
-from rollout.heuristics.tasks import greedy, horizon, hungarian, lawnmower, tour
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
+from eia_sec.rollout.heuristics.random import RandomPolicy
+from eia_sec.rollout.heuristics.relays import CentroidRelays, CoverageRelays, SearchRelays
+from eia_sec.rollout.heuristics.static import StaticPolicy
+from eia_sec.rollout.heuristics.tasks import greedy, horizon, hungarian, lawnmower, tour
 
 WHOLE: Final[dict[str, Callable[[], Any]]] = {
     "static": StaticPolicy,

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.composite import COLLECTORS, MONITORS, RELAYS, FarmState
-from rollout.sim.base_station import joined_relays, relay_gaps
-from rollout.sim.boxes import Array
-from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, RELAYS, FarmState
+from eia_sec.rollout.sim.base_station import joined_relays, relay_gaps
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
+from eia_sec.rollout.sim.layout import cell_counts
 
 GAIN: Final = 0.02
 """Fraction of the distance to its centre that a relay flies in one step."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from common.team import Float32
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.team import Float32
+from eia_sec.rollout.sim.batch import FarmBatch
 
 
 class StaticPolicy:

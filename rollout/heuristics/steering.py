@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from rollout.sim.boxes import SLOWEST, possible, reach
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.sim.boxes import SLOWEST, possible, reach
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power
+from eia_sec.rollout.sim.layout import cell_counts
 
 Array = NDArray[np.float64]
 

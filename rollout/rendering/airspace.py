@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from rollout.rendering.palette import STRESS, ZONE
-from rollout.rendering.scene import wind_text
-from rollout.sim.layout import Layout
-from rollout.sim.stations import station_places
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.rendering.palette import STRESS, ZONE
+from eia_sec.rollout.rendering.scene import wind_text
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 

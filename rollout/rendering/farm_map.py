@@ -17,8 +17,8 @@ from matplotlib.path import Path
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
-from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.airspace import (
+from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from eia_sec.rollout.rendering.airspace import (
     WindArrow,
     area_handle,
     make_areas,
@@ -27,8 +27,8 @@ from rollout.rendering.airspace import (
     station_handle,
     zone_handle,
 )
-from rollout.rendering.chain import ChainLines, chain_handles
-from rollout.rendering.palette import (
+from eia_sec.rollout.rendering.chain import ChainLines, chain_handles
+from eia_sec.rollout.rendering.palette import (
     AGE_MAP,
     COLOURS,
     END_MARKERS,
@@ -39,7 +39,7 @@ from rollout.rendering.palette import (
     TYPES,
     shade,
 )
-from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
+from eia_sec.rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from common.farm import COLLECTION, COMMUNICATION, MONITORING
+from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING
 
 LineStyle = Literal["-", "--", "-."]
 

@@ -14,10 +14,10 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from common.farm import COLLECTION, MONITORING
-from rollout.rendering.farm_map import INK, SMALL, FarmMap, make_legend, make_scales
-from rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, TYPES
-from rollout.rendering.scene import Scene
+from eia_sec.common.farm import COLLECTION, MONITORING
+from eia_sec.rollout.rendering.farm_map import INK, SMALL, FarmMap, make_legend, make_scales
+from eia_sec.rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, TYPES
+from eia_sec.rollout.rendering.scene import Scene
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]

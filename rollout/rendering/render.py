@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.control import Control
 
-from common.errors import ConfigError
-from rollout.rendering.scene import Observer, Scene
-from rollout.rendering.terminal import coloured, fitting_width, terminal_text
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.rendering.scene import Observer, Scene
+from eia_sec.rollout.rendering.terminal import coloured, fitting_width, terminal_text
+from eia_sec.rollout.sim.batch import FarmBatch
 
 RENDER_MODES: Final = ("rgb_array", "ansi", "human")
 """rgb_array: an image [H, W, 3] uint8; ansi: coloured text; human: a window if one can open, else the terminal."""
@@ -20,7 +20,7 @@ FRAMES_PER_SECOND: Final = 10
 
 
 class Picture(Protocol):
-    """Draws scenes, as `rollout.rendering.picture.FarmPicture` does."""
+    """Draws scenes, as `eia_sec.rollout.rendering.picture.FarmPicture` does."""
 
     def draw(self, scene: Scene) -> NDArray[np.uint8]:
         """Return a scene as an RGB image, [H, W, 3] uint8."""
@@ -91,7 +91,7 @@ class Renderer:
 
 def make_picture(scene: Scene) -> Picture:
     """Return a picture that can draw this farm. matplotlib is imported here so that workers never load it."""
-    picture: Picture = importlib.import_module("rollout.rendering.picture").FarmPicture(scene)
+    picture: Picture = importlib.import_module("eia_sec.rollout.rendering.picture").FarmPicture(scene)
     return picture
 
 

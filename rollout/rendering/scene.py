@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from rollout.rendering.palette import TYPES
-from rollout.sim.base_station import base_place, joined_relays, relay_gaps
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import Layout
-from rollout.sim.reference.farm import noise_mw, packet_loss, received_mw
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.rendering.palette import TYPES
+from eia_sec.rollout.sim.base_station import base_place, joined_relays, relay_gaps
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.reference.farm import noise_mw, packet_loss, received_mw
 
 Numbers = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from rollout.rendering.farm_map import INK, SMALL, FarmMap, make_legend, make_scales
-from rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, TYPES, LineStyle
-from rollout.rendering.scene import Scene
+from eia_sec.rollout.rendering.farm_map import INK, SMALL, FarmMap, make_legend, make_scales
+from eia_sec.rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, TYPES, LineStyle
+from eia_sec.rollout.rendering.scene import Scene
 
 DPI: Final = 100
 SIZE: Final = (16.0, 9.0)

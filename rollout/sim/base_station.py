@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from rollout.sim.boxes import Array
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.sim.boxes import Array
 
 MIDDLES: Final = {"north": (0.5, 1.0), "east": (1.0, 0.5), "south": (0.5, 0.0), "west": (0.0, 0.5)}
 """Middles of the field's edges as shares of its sides; x goes east and y north."""

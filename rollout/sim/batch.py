@@ -11,24 +11,24 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from common.config.farm.polygons import inside_any
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError, SimulationError
-from common.farm import farm_environment
-from common.seeds import derive, stream
-from common.team import Float32, TeamSpec
-from common.transitions import EpisodeSummary
-from rollout.sim.failures import NEVER, failure_steps
-from rollout.sim.kernel.allocation import make_scratch
-from rollout.sim.kernel.arrays import REWARD_PARTS
-from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
-from rollout.sim.kernel.flight.airspace import zone_sides
-from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
-from rollout.sim.layout import Layout, make_layout
-from rollout.sim.stress import first_counters, patches
-from rollout.sim.sweep_routes import divided_among
-from rollout.sim.wind import wind_series
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.config.farm.polygons import inside_any
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.farm import farm_environment
+from eia_sec.common.seeds import derive, stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.sim.failures import NEVER, failure_steps
+from eia_sec.rollout.sim.kernel.allocation import make_scratch
+from eia_sec.rollout.sim.kernel.arrays import REWARD_PARTS
+from eia_sec.rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
+from eia_sec.rollout.sim.kernel.flight.airspace import zone_sides
+from eia_sec.rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
+from eia_sec.rollout.sim.layout import Layout, make_layout
+from eia_sec.rollout.sim.stress import first_counters, patches
+from eia_sec.rollout.sim.sweep_routes import divided_among
+from eia_sec.rollout.sim.wind import wind_series
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -83,12 +83,13 @@ class FarmBatch:
         stressed: [E, n_px, n_py] 1 for plots in areas, and in living patches that are known; [E, 0, n_py] if there is
             no stress.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
-            what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
+            what it was worth to the team as far as known, see `eia_sec.rollout.sim.kernel.hindsight`; None unless
+            tracked.
 
     Raises:
         ConfigError: the field is too small for the link budget, or visits are to be tracked in expected delivery.
         SimulationError: there is no environment, or no thread; or the configuration wants advice or autopilots, which
-            `rollout.heuristics.farms.make_farms` adds.
+            `eia_sec.rollout.heuristics.farms.make_farms` adds.
     """
 
     advised: ClassVar[bool] = False
@@ -100,7 +101,7 @@ class FarmBatch:
         if (config.observation.advice and not self.advised) or (config.battery.watched and not self.failsafe):
             raise SimulationError(
                 "farms with farm.observation.advice or farm.battery.failsafe are made by "
-                "rollout.heuristics.farms.make_farms."
+                "eia_sec.rollout.heuristics.farms.make_farms."
             )
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")
@@ -164,7 +165,7 @@ class FarmBatch:
     def potential(self) -> Float32:
         """[E, n] Phi = +alpha_1 D_c t_step of relays, -alpha_1 D_c t_step with the printed sign (W1); else 0.
 
-        The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `rollout.sim.kernel.rewards`.
+        The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `eia_sec.rollout.sim.kernel.rewards`.
         """
         weight, phi = self._constants.reward, np.zeros_like(self.reward)
         phi[:, : self.service.shape[1]] = -weight.positioning * self.service * self.config.world.step_seconds

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import WorldConfig
+from eia_sec.common.config import WorldConfig
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import WorldConfig
-from common.seeds import stream
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.seeds import stream
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from common.config import FarmConfig
-from common.config.farm.polygons import Flags, following
-from rollout.sim.boxes import Array, reach
-from rollout.sim.kernel.flight.airspace import find_inside, refuse_moves, zone_sides
-from rollout.sim.layout import Layout
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import Flags, following
+from eia_sec.rollout.sim.boxes import Array, reach
+from eia_sec.rollout.sim.kernel.flight.airspace import find_inside, refuse_moves, zone_sides
+from eia_sec.rollout.sim.layout import Layout
 
 MARGIN: Final = 1.0
 """Distance at which UAVs pass a zone's corners, m."""

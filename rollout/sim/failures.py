@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.seeds import stream
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.seeds import stream
 
 NEVER: Final = 2**30
 """A step that no episode reaches and that fits into 32 bits."""

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from common.seeds import stream
-from rollout.sim.densities import density_of
-from rollout.sim.poisson_disk import sample_positions
-from rollout.sim.zones import make_zones
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.densities import density_of
+from eia_sec.rollout.sim.poisson_disk import sample_positions
+from eia_sec.rollout.sim.zones import make_zones
 
 CELL: Final = 25.0
 """Edge of the cells that order the sensors, m; larger if an axis would otherwise have more than MAX_CELLS."""

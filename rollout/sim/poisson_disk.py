@@ -5,11 +5,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import WorldConfig
-from common.errors import ConfigError
-from common.seeds import stream
-from rollout.sim.densities import make_density
-from rollout.sim.kernel.compiler.decorators import compiled_entry
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.densities import make_density
+from eia_sec.rollout.sim.kernel.compiler.decorators import compiled_entry
 
 BLOCKS: Final = 64
 """Blocks of candidates to try before a layout counts as impossible."""

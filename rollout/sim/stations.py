@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from common.config import FarmConfig
-from rollout.sim.boxes import Array
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.sim.boxes import Array
 
 
 def station_places(config: FarmConfig) -> Array:

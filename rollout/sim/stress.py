@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.farm.polygons import inside
-from common.config.farm.stress import Areas
-from common.seeds import stream
-from rollout.sim.boxes import Array
-from rollout.sim.failures import NEVER
-from rollout.sim.layout import Layout
-from rollout.sim.sweep_routes import plot_centres
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import inside
+from eia_sec.common.config.farm.stress import Areas
+from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.failures import NEVER
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 if TYPE_CHECKING:
-    from rollout.sim.batch import FarmBatch
+    from eia_sec.rollout.sim.batch import FarmBatch
 
 LATEST: Final = 0.75
 """Share of the episode within which patches appear."""

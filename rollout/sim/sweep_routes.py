@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FailureConfig, FarmConfig, WorldConfig
-from rollout.sim.boxes import Array, aim, steps_to
+from eia_sec.common.config import FailureConfig, FarmConfig, WorldConfig
+from eia_sec.rollout.sim.boxes import Array, aim, steps_to
 
 LANE_PLOTS: Final = 2
 """Plots side by side in a lane. A step is half a plot long, and anywhere near a plot's middle is close enough to image

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.farm.wind import SEEDED
-from common.seeds import stream
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.wind import SEEDED
+from eia_sec.common.seeds import stream
 
 Array = NDArray[np.float64]
 

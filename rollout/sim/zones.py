@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.farm.zones import LONGEST_SIDE
-from common.seeds import stream
-from rollout.sim.stations import station_places
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.zones import LONGEST_SIDE
+from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from common.actions.adapters import EDGE, Headings, Lattice, MirroredAxes, NineMoves
-from common.actors import TeamActors
-from common.team import Float32, GroupSpec, TeamSpec
-from rollout.sim.kernel.compiler.decorators import compiled, compiled_entry
+from eia_sec.common.actions.adapters import EDGE, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.team import Float32, GroupSpec, TeamSpec
+from eia_sec.rollout.sim.kernel.compiler.decorators import compiled, compiled_entry
 
 ONE: Final = np.float32(1)
 ZERO: Final = np.float32(0)
@@ -98,7 +98,7 @@ def _compiled(group: GroupSpec) -> _Compiled:
 
 @compiled
 def _sample_option(logits: Float32, weight: Float32, uniform: np.float32) -> tuple[int, np.float32]:
-    """Sample an option; return it and its log-probability, as `common.actions.sampling.sample_options` does."""
+    """Sample an option; return it and its log-probability, as `eia_sec.common.actions.sampling.sample_options` does."""
     top = logits[0]
     for option in range(1, len(logits)):
         top = max(top, logits[option])

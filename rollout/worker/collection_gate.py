@@ -1,9 +1,9 @@
 """Decides before every chunk whether a worker collects or waits."""
 
-from common.actors import TeamActors
-from common.config import RolloutConfig
-from rollout.worker.learner_link import COLLECTING, LearnerLink
-from rollout.worker.sender import Sender
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RolloutConfig
+from eia_sec.rollout.worker.learner_link import COLLECTING, LearnerLink
+from eia_sec.rollout.worker.sender import Sender
 
 
 class CollectionGate:

@@ -8,22 +8,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actors import TeamActors
-from common.config import RunConfig
-from common.errors import CancelledError
-from common.protocol.bfloat16 import Bits, to_bits
-from common.seeds import derive, stream
-from common.team import Float32, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from rollout.envs.registry import make_environments
-from rollout.worker.action_sampler import ActionSampler
-from rollout.worker.hindsight_credit import credit_newest, shares_of
-from rollout.worker.random_rows import RandomRows
-from rollout.worker.reward_shaping import RewardShaping
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import CancelledError
+from eia_sec.common.protocol.bfloat16 import Bits, to_bits
+from eia_sec.common.seeds import derive, stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.rollout.envs.registry import make_environments
+from eia_sec.rollout.worker.action_sampler import ActionSampler
+from eia_sec.rollout.worker.hindsight_credit import credit_newest, shares_of
+from eia_sec.rollout.worker.random_rows import RandomRows
+from eia_sec.rollout.worker.reward_shaping import RewardShaping
 
 
 class StepObserver(Protocol):
-    """Records one environment, as `rollout.worker.probe.Probe` does."""
+    """Records one environment, as `eia_sec.rollout.worker.probe.Probe` does."""
 
     index: int
 
@@ -91,7 +91,7 @@ class Collector:
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows
-            may be shaped (`rollout.worker.reward_shaping`); rewards of episodes are not.
+            may be shaped (`eia_sec.rollout.worker.reward_shaping`); rewards of episodes are not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         rows = _ChunkRows(

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-from common.config import RunConfig
-from common.errors import CancelledError, ProtocolError
-from common.policy_store import PolicyStore
-from common.protocol import keys
-from common.protocol.messages import EvaluationOrder, EvaluationResult
-from common.transport.bus import Bus, Incoming
-from rollout.worker.collector import run_noise_free_episodes
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import CancelledError, ProtocolError
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult
+from eia_sec.common.transport.bus import Bus, Incoming
+from eia_sec.rollout.worker.collector import run_noise_free_episodes
 
 CAPACITY = 16
 """Orders that may wait."""

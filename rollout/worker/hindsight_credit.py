@@ -1,13 +1,14 @@
 """Rewards that pay each visit what it turned out to be worth to the team.
 
 A plot imaged at VDF u pays u, but if another image follows soon, most of u would have been paid to that one. The
-environment knows in hindsight what each visit was worth (`rollout.sim.kernel.hindsight` has the derivation) and keeps
-the correction of every step's reward in `Environments.hindsight`. Rows that learners train on hold
+environment knows in hindsight what each visit was worth (`eia_sec.rollout.sim.kernel.hindsight` has the derivation) and
+keeps the correction of every step's reward in `Environments.hindsight`. Rows that learners train on hold
 
     r' = r + s correction
 
 with a share s for each agent: at 0 the environment's own rewards, at 1 an agent's difference to the team. Corrections
-add to shaped rewards as well (`rollout.worker.reward_shaping`). Episode returns, evaluations and elite scores use r.
+add to shaped rewards as well (`eia_sec.rollout.worker.reward_shaping`). Episode returns, evaluations and elite scores
+use r.
 
 A visit is corrected when the next visit of its plot or sensor happens. So chunks of whole episodes are exact. Where a
 chunk ends before its episode, visits whose next visit lies beyond its end stay paid in full.
@@ -17,8 +18,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from common.team import Float32, TeamSpec
-from rollout.envs.base import Environments
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.rollout.envs.base import Environments
 
 
 def shares_of(team: TeamSpec, by_type: Mapping[str, float]) -> Float32:

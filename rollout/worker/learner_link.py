@@ -2,18 +2,18 @@
 
 import time
 
-from common.config import RunConfig
-from common.config.files import method_of
-from common.config.presets import read_saved
-from common.errors import ProtocolError, UsageError
-from common.policy_store import PolicyStore
-from common.process import StopSignal, fetch_configuration, log
-from common.protocol import keys
-from common.protocol.codec import NO_LIMIT
-from common.protocol.epoch_fence import EpochFence
-from common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
-from common.team import TeamSpec
-from common.transport.bus import Bus
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import method_of
+from eia_sec.common.config.presets import read_saved
+from eia_sec.common.errors import ProtocolError, UsageError
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.process import StopSignal, fetch_configuration, log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.common.protocol.epoch_fence import EpochFence
+from eia_sec.common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transport.bus import Bus
 
 COLLECTING = ("starting", "training")
 """States of a run in which workers collect."""
@@ -27,8 +27,8 @@ class LearnerLink:
     contain it. `PolicyStore` does both.
 
     A higher epoch in the progress means that a new learner has taken over. The worker follows it if its configuration
-    is the same, but for what a resumed run may change (`common.config.files.method_of`). It follows a lower epoch only
-    if the higher one has gone silent, see `EpochFence`.
+    is the same, but for what a resumed run may change (`eia_sec.common.config.files.method_of`). It follows a lower
+    epoch only if the higher one has gone silent, see `EpochFence`.
 
     Args:
         control: the control lane.

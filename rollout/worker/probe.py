@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.protocol.messages import ViewMessage
-from common.protocol.view_checks import FRAMES
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.protocol.messages import ViewMessage
+from eia_sec.common.protocol.view_checks import FRAMES
+from eia_sec.rollout.sim.batch import FarmBatch
 
 HELD: Final = 1024
 """Most frames held before they are taken. A full probe closes."""

@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.seeds import stream
-from common.team import Float32
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32
 
 BLOCK: Final = 128
 """Steps for which random numbers are drawn at once."""

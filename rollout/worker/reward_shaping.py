@@ -17,8 +17,8 @@ when it counts.
 
 import numpy as np
 
-from common.team import Float32
-from rollout.envs.base import Environments
+from eia_sec.common.team import Float32
+from eia_sec.rollout.envs.base import Environments
 
 
 class RewardShaping:

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
-from common.errors import BusClosedError, BusError, ProtocolError
-from common.history.history import Entry, History
-from common.process import QUICK_SECONDS, log
-from common.protocol import keys
-from common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
-from common.protocol.codec import NO_LIMIT
-from common.protocol.messages import ChunkAck, Envelope
-from common.team import TeamSpec
-from common.transitions import Chunk
-from common.transport.bus import Bus
+from eia_sec.common.errors import BusClosedError, BusError, ProtocolError
+from eia_sec.common.history.history import Entry, History
+from eia_sec.common.process import QUICK_SECONDS, log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.common.protocol.messages import ChunkAck, Envelope
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import Chunk
+from eia_sec.common.transport.bus import Bus
 
 ANSWER_SECONDS = 30.0
 """Time after which an unanswered request is resent. A learner that is behind answers late on purpose."""

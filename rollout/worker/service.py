@@ -15,23 +15,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from common.actors import TeamActors
-from common.config.presets import read_saved
-from common.config.run import RunConfig
-from common.errors import UsageError
-from common.history.history import History, Start
-from common.incarnation import new_incarnation, seconds_ahead
-from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
-from common.protocol.messages import ConfigurationMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint
-from rollout.worker.collection_gate import CollectionGate
-from rollout.worker.collector import Collector
-from rollout.worker.evaluation_service import EvaluationService
-from rollout.worker.learner_link import LearnerLink
-from rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
-from rollout.worker.view_service import ViewService
-from rollout.worker.warm_up import warm_up
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.run import RunConfig
+from eia_sec.common.errors import UsageError
+from eia_sec.common.history.history import History, Start
+from eia_sec.common.incarnation import new_incarnation, seconds_ahead
+from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
+from eia_sec.common.protocol.messages import ConfigurationMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.rollout.worker.collection_gate import CollectionGate
+from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.evaluation_service import EvaluationService
+from eia_sec.rollout.worker.learner_link import LearnerLink
+from eia_sec.rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
+from eia_sec.rollout.worker.view_service import ViewService
+from eia_sec.rollout.worker.warm_up import warm_up
 
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
@@ -62,7 +62,7 @@ class WorkerOptions:
         patience: seconds to wait for a listener there.
         env: the one environment besides the farm that this worker may load, or None. A configuration comes over the
             network, and loading an environment runs its code.
-        history: file for the worker's record of its chunks, see `common.history.history`, or None.
+        history: file for the worker's record of its chunks, see `eia_sec.common.history.history`, or None.
     """
 
     run: str

@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from common.errors import ConfigError, ProtocolError
-from common.names import check_name
-from common.protocol import keys
-from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
-from common.transport.bus import Bus, Incoming
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.worker.collector import Collector
-from rollout.worker.probe import Probe
+from eia_sec.common.errors import ConfigError, ProtocolError
+from eia_sec.common.names import check_name
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
+from eia_sec.common.transport.bus import Bus, Incoming
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.probe import Probe
 
 LEASE_SECONDS: Final = 4.0
 """Time after its last request at which a watcher counts as gone."""

@@ -5,9 +5,9 @@ The simulator's machine code is the same for all farms. With an empty cache it i
 
 from dataclasses import replace
 
-from common.actors import TeamActors
-from common.config.presets import preset
-from rollout.worker.collector import Collector
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.worker.collector import Collector
 
 
 def warm_up() -> None:

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from common.config import EnvConfig, RunConfig
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError
-from common.farm import METRIC_NAMES, farm_environment, farm_of, require_farm
-from common.team import GroupSpec, TeamSpec
-from deploy.monitor.environment_labels import LENGTH, plotted, type_label
+from eia_sec.common.config import EnvConfig, RunConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import METRIC_NAMES, farm_environment, farm_of, require_farm
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.deploy.monitor.environment_labels import LENGTH, plotted, type_label
 
 FARM = farm_environment(RunConfig().farm)
 

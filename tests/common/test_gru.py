@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors, imitate, layer_shapes, parameter_views
-from common.errors import SchemaError
-from common.gru import MOST_STATE, checked_memory, next_state
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.actors import TeamActors, imitate, layer_shapes, parameter_views
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.gru import MOST_STATE, checked_memory, next_state
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 TEAM = TeamSpec((GroupSpec("a", 2, 7, 2, choices=(2, 3)), GroupSpec("b", 3, 4, 2)))
 HIDDEN = 6

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from common.history import history
-from common.history.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
+from eia_sec.common.history import history
+from eia_sec.common.history.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
 
 
 def chunk(number: int, verdict: str = "accepted", steps: int = 10) -> Entry:
@@ -178,7 +178,7 @@ def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
     History(path).add(chunk(1))
     written = path.read_text()
     with monkeypatch.context() as patched:
-        patched.setattr("common.history.history.MAX_BYTES", 1)
+        patched.setattr("eia_sec.common.history.history.MAX_BYTES", 1)
         one = History(path)
     one.add(chunk(2))
     assert one.before == []

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from common.history.history import Entry, History, Record, Resume, Start, Summary, parse, read, text
-from common.history.summary import MOST_STARTS, summarised
-from deploy.monitor.audit import audit
-from learner.checkpoint import compaction
-from learner.checkpoint.compaction import HistoryCompaction
-from learner.intake.ledger import Ledger, LedgerSnapshot, WorkerLedger
+from eia_sec.common.history.history import Entry, History, Record, Resume, Start, Summary, parse, read, text
+from eia_sec.common.history.summary import MOST_STARTS, summarised
+from eia_sec.deploy.monitor.audit import audit
+from eia_sec.learner.checkpoint import compaction
+from eia_sec.learner.checkpoint.compaction import HistoryCompaction
+from eia_sec.learner.intake.ledger import Ledger, LedgerSnapshot, WorkerLedger
 
 
 def entry(verdict: str, first: int, last: int, steps: int = 10, start: int = 1) -> Entry:

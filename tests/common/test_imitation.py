@@ -2,10 +2,10 @@
 
 import pytest
 
-from common.config import EliteConfig
-from common.errors import SchemaError
-from common.imitation import ImitationEvent, ImitationSchedule
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.config import EliteConfig
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 
 def episodes(schedule: ImitationSchedule, last: int) -> list[int]:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from common.errors import ConfigError
-from common.names import check_name
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.names import check_name
 
 PATHS = ("../../pwn", "/etc/passwd", "..", ".", "", "a/b")
 CONTROLS = ("a\0b", "a\x1b[2J", "a\nb", "\u202ea")

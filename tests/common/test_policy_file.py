@@ -4,10 +4,10 @@ import math
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.errors import PolicyError
-from common.policy_file import MAX_FILE_BYTES, MAX_HEADER_BYTES, load_policy, save_policy
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.errors import PolicyError
+from eia_sec.common.policy_file import MAX_FILE_BYTES, MAX_HEADER_BYTES, load_policy, save_policy
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 TEAM = TeamSpec((GroupSpec("communication", 2, 5, 2), GroupSpec("monitoring", 3, 4, 2)))
 PROVENANCE = {"command": "eia-sec train", "seed": "0", "commit": "abc"}

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.actors import TeamActors, imitate
-from common.errors import ProtocolError, SchemaError, VersionError
-from common.imitation import ImitationEvent
-from common.policy_store import PolicyStore
-from common.protocol.messages import ParametersMessage
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.actors import TeamActors, imitate
+from eia_sec.common.errors import ProtocolError, SchemaError, VersionError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.protocol.messages import ParametersMessage
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from common.process import LARGEST, SEPARATOR, Presence, StopSignal, denial, log
-from common.protocol import keys
-from common.protocol.messages import MetricMessage
-from common.transport.bus import Bus
-from common.transport.credentials import Credentials, Identity
-from common.transport.endpoint import free_endpoint
+from eia_sec.common.process import LARGEST, SEPARATOR, Presence, StopSignal, denial, log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import MetricMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import Credentials, Identity
+from eia_sec.common.transport.endpoint import free_endpoint
 from tests.system.fleet import until
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from common.errors import SchemaError
-from common.team import GroupSpec, TeamSpec
-from common.transitions import Rows
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import Rows
 
 TEAM = TeamSpec((GroupSpec("a", 1, 2, 1),))
 

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from common.config import EvaluationConfig, LearnerConfig, RunConfig
-from common.config.files import to_toml
-from common.errors import RunDirError
-from deploy.cli import COMMANDS, dispatch
-from deploy.commands.fleet.keys import IssueArguments, KeysArguments
-from deploy.commands.policies.fly import FlyArguments
-from deploy.exit_codes import run_command
-from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration, parse
+from eia_sec.common.config import EvaluationConfig, LearnerConfig, RunConfig
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import RunDirError
+from eia_sec.deploy.cli import COMMANDS, dispatch
+from eia_sec.deploy.commands.fleet.keys import IssueArguments, KeysArguments
+from eia_sec.deploy.commands.policies.fly import FlyArguments
+from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.options import base_configuration, parse
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -97,15 +97,6 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["learner", "--learner.device", "cuda:999", "--run-dir", "run"], "learner.device is cuda:999"),
         (["train", "--algorithm.start-policy", "nobody"], "'nobody' is neither a policy that ships"),
         (["learner", "--algorithm.start-policy", "trained:eia-sec", "--run-dir", "run"], "fits no type of this run"),
-        (["reproduce"], "nothing to reproduce"),
-        (["reproduce", "harvest"], "no study 'harvest'"),
-        (["reproduce", "training", "--scale", "half"], "half"),
-        (["reproduce", "training", "--jobs", "0"], "jobs must be"),
-        (["reproduce", "training", "--seeds", "-1"], "seeds must be"),
-        (["reproduce", "training", "--uavs", "6"], "--uavs is for scalability"),
-        (["reproduce", "scalability", "--uavs", "2"], "uavs must be"),
-        (["reproduce", "run"], "takes the command of a study"),
-        (["reproduce", "run", "by hand", "nowhere.job.json"], "not a study's run"),
         (["farm"], "show, save, check"),
         (["farm", "plough"], "plough"),
         (["farm", "check"], "FILE"),
@@ -198,7 +189,6 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         dispatch([name, "--help"])
     assert stop.value.code == 0
     named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen", "replay": "--against"}
-    named |= {"reproduce": "--scale"}
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from common.errors import BusError, CancelledError, CheckpointError, ConfigError, EndpointError, RunDirError
-from deploy.exit_codes import run_command
+from eia_sec.common.errors import BusError, CancelledError, CheckpointError, ConfigError, EndpointError, RunDirError
+from eia_sec.deploy.exit_codes import run_command
 
 
 def raising(error):
@@ -76,7 +76,7 @@ def test_defect_keeps_its_traceback():
 def test_closed_pipe_is_quiet():
     """A command whose reader goes away ends with 141 and writes nothing to standard error."""
     code = (
-        "import sys; from deploy.exit_codes import run_command;"
+        "import sys; from eia_sec.deploy.exit_codes import run_command;"
         "sys.exit(run_command(lambda: [sys.stdout.write('line\\n' * 1000) for _ in range(1000)] and None))"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -107,7 +107,9 @@ def test_who_is_ended_while_it_waits_has_not_failed(capsys):
 
 def test_sigterm_ends_a_command_that_does_not_handle_it():
     """With 128 + SIGTERM, after what the command had begun was ended."""
-    script = "import deploy.cli as c, time; c.dispatch = lambda words: (print(flush=True), time.sleep(60)); c.main()"
+    script = (
+        "import eia_sec.deploy.cli as c, time; c.dispatch = lambda words: (print(flush=True), time.sleep(60)); c.main()"
+    )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.readline()

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from common.config import FarmConfig, RunConfig
-from common.config.files import differences, from_toml, to_toml
-from common.errors import ConfigError
-from deploy.cli import dispatch
-from deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, run
-from deploy.commands.training.learner import LearnerArguments
-from deploy.exit_codes import USAGE, run_command
-from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration, parse, with_settings
-from rollout.farm_files import read_farm
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FarmConfig, RunConfig
+from eia_sec.common.config.files import differences, from_toml, to_toml
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, run
+from eia_sec.deploy.commands.training.learner import LearnerArguments
+from eia_sec.deploy.exit_codes import USAGE, run_command
+from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.options import base_configuration, parse, with_settings
+from eia_sec.rollout.farm_files import read_farm
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "farms.md").read_text()

@@ -9,8 +9,8 @@ import sys
 import pytest
 from rich.console import Console
 
-from deploy.commands.policies.replay import _apart
-from deploy.output import patient_output
+from eia_sec.deploy.commands.policies.replay import _apart
+from eia_sec.deploy.output import patient_output
 
 
 class Disk(io.StringIO):
@@ -44,7 +44,7 @@ def test_lines_on_a_full_disk_are_lost_and_counted(monkeypatch):
 def test_a_command_whose_output_finds_no_room_says_so():
     """One sentence and exit code 1, and no traceback at the interpreter's end."""
     with open("/dev/full", "wb") as full:
-        command = [sys.executable, "-m", "deploy.cli", "farm", "show", "--help"]
+        command = [sys.executable, "-m", "eia_sec.deploy.cli", "farm", "show", "--help"]
         # Whose output is not buffered notices at once; others notice at the end.
         plain = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=plain)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cli import dispatch
-from deploy.exit_codes import run_command
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.exit_codes import run_command
 from tests.deploy.test_cli import complaint
 
 FLY = ("fly", "--policy", "trained:eia-sec")

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from common.config import EnvConfig, RunConfig
-from common.config.files import with_values
-from common.config.presets import preset
-from common.errors import ConfigError
-from deploy.commands.training import train
-from deploy.commands.training.train import TrainArguments, command_line, resume_command, worker_count
+from eia_sec.common.config import EnvConfig, RunConfig
+from eia_sec.common.config.files import with_values
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.commands.training import train
+from eia_sec.deploy.commands.training.train import TrainArguments, command_line, resume_command, worker_count
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,14 @@
 
 from types import SimpleNamespace
 
-from common.config.presets import preset
-from common.farm import farm_team
-from common.protocol import keys
-from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
-from common.protocol.messages import MetricMessage, ProgressMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from elite.service import Coordinator, CoordinatorOptions
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
+from eia_sec.common.protocol.messages import MetricMessage, ProgressMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.elite.service import Coordinator, CoordinatorOptions
 from tests.system.fleet import until
 
 RUN = "epochs"

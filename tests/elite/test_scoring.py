@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from common.config import EliteConfig
-from common.config.presets import preset
-from common.errors import SchemaError
-from common.team import GroupSpec, TeamSpec
-from elite.evaluation_plan import evaluation_plan
-from elite.scoring import decide, scores
+from eia_sec.common.config import EliteConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.elite.evaluation_plan import evaluation_plan
+from eia_sec.elite.scoring import decide, scores
 
 TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))
 

@@ -2,15 +2,15 @@
 
 import threading
 
-from common.config.presets import preset
-from common.farm import farm_team
-from common.process import StopSignal
-from common.protocol import keys
-from common.protocol.messages import EvaluationOrder
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from elite.evaluation_plan import evaluation_plan
-from elite.service import Coordinator, CoordinatorOptions
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import EvaluationOrder
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.elite.evaluation_plan import evaluation_plan
+from eia_sec.elite.service import Coordinator, CoordinatorOptions
 from tests.system.fleet import until
 
 RUN = "stop"

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from common.actors import TeamActors
-from common.config.files import to_toml
-from common.protocol import keys
-from common.protocol.chunk_messages import from_request
-from common.protocol.messages import (
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import from_request
+from eia_sec.common.protocol.messages import (
     ChunkAck,
     ConfigurationMessage,
     Envelope,
@@ -16,8 +16,8 @@ from common.protocol.messages import (
     ParametersMessage,
     ProgressMessage,
 )
-from common.transport.bus import Bus
-from rollout.envs.registry import environment_spec
+from eia_sec.common.transport.bus import Bus
+from eia_sec.rollout.envs.registry import environment_spec
 from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LAG, SILENCE = 5, 1.5

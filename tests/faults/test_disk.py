@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from learner.checkpoint import files
+from eia_sec.learner.checkpoint import files
 from tests.faults.tools.harness import FaultRun, record_result
 from tests.system.fleet import until
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from common.protocol import keys
+from eia_sec.common.protocol import keys
 from tests.faults.test_refusals import of, parcel
 from tests.faults.tools.channel import RULES, RUN, TEAM, Parcel, a_chunk, front_door, shut
 from tests.faults.tools.harness import LONG, FaultRun, memory, record_result, run

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from common.history.history import History
+from eia_sec.common.history.history import History
 from tests.faults.tools.channel import Road, front_door, shut, travel
 from tests.faults.tools.harness import record_result
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.history.history import Entry, History
-from common.policy_store import PolicyStore
-from common.protocol import frame
-from common.protocol.messages import ParametersMessage
-from learner.checkpoint import recovery
-from learner.control.lease import Lease
-from learner.intake.ledger import Ledger
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.history.history import Entry, History
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.protocol import frame
+from eia_sec.common.protocol.messages import ParametersMessage
+from eia_sec.learner.checkpoint import recovery
+from eia_sec.learner.control.lease import Lease
+from eia_sec.learner.intake.ledger import Ledger
 from tests.faults.test_messages import bad_road
 from tests.faults.tools.channel import TEAM
 from tests.learner.checkpoint import test_recovery

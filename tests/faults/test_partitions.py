@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from tests.faults.tools.harness import FaultRun, memory, record_result, run
 from tests.faults.tools.network import LEARNER, Pair, Relay, namespaces
 from tests.system.fleet import until

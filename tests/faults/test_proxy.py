@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from common.transport.endpoint import free_endpoint
+from eia_sec.common.transport.endpoint import free_endpoint
 from tests.faults.tools.channel import Road
 from tests.faults.tools.harness import record_result, run
 from tests.faults.tools.proxy import Proxy

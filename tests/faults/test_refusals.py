@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from common.config import ReplayConfig
-from common.protocol import frame, keys
-from common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, to_message, to_request
-from common.protocol.messages import ChunkMessage, DeliveryMessage, Envelope
-from common.transitions import Chunk, Rows
-from learner.intake.peer_penalties import LIMIT
+from eia_sec.common.config import ReplayConfig
+from eia_sec.common.protocol import frame, keys
+from eia_sec.common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, to_message, to_request
+from eia_sec.common.protocol.messages import ChunkMessage, DeliveryMessage, Envelope
+from eia_sec.common.transitions import Chunk, Rows
+from eia_sec.learner.intake.peer_penalties import LIMIT
 from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
 from tests.faults.tools.harness import LONG, FaultRun, record_result, run
 from tests.system.fleet import RUN as RUN_NAME

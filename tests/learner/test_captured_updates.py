@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from common.config.files import with_values
-from learner.on_policy import captured_updates
-from learner.on_policy.captured_updates import MOST_GRAPHS, CapturedUpdates
-from learner.on_policy.minibatch import Minibatch
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.config.files import with_values
+from eia_sec.learner.on_policy import captured_updates
+from eia_sec.learner.on_policy.captured_updates import MOST_GRAPHS, CapturedUpdates
+from eia_sec.learner.on_policy.minibatch import Minibatch
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
 from tests.learner.on_policy.test_updates import CASES
 

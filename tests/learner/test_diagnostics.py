@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors, parameter_views
-from common.config import EiaSecConfig, ReplayConfig
-from common.config.presets import preset
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
-from learner.data.replay import Replay
-from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics, horizon, newest_returns, realised_returns
-from learner.engine import Batch, Diagnostics, Engine
-from learner.off_policy_trainer import OffPolicyTrainer
-from learner.reporting.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
+from eia_sec.common.actors import TeamActors, parameter_views
+from eia_sec.common.config import EiaSecConfig, ReplayConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
+from eia_sec.learner.data.replay import Replay
+from eia_sec.learner.diagnostics import RETURN_PERIOD, RunningDiagnostics, horizon, newest_returns, realised_returns
+from eia_sec.learner.engine import Batch, Diagnostics, Engine
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.reporting.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 

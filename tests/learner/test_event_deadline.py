@@ -1,8 +1,8 @@
 """Late imitation events hold new experience back for a while and raise an alarm."""
 
-from common.config import EliteConfig
-from common.imitation import ImitationSchedule
-from learner.event_deadline import ALARM_SECONDS, HOLD_SECONDS, EventDeadline
+from eia_sec.common.config import EliteConfig
+from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.learner.event_deadline import ALARM_SECONDS, HOLD_SECONDS, EventDeadline
 
 
 def deadline(**settings: object) -> EventDeadline:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import RunConfig
-from common.config.files import with_values
-from deploy.local.in_process import train_in_process
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import with_values
+from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
 from tests.learner.on_policy.test_recurrent_updates import CASES as WITH_MEMORY

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors, imitate
-from common.config import EiaSecConfig, ReplayConfig
-from common.config.presets import preset
-from common.errors import CheckpointError, SchemaError
-from common.imitation import ImitationEvent
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from learner.checkpoint import files
-from learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer
+from eia_sec.common.actors import TeamActors, imitate
+from eia_sec.common.config import EiaSecConfig, ReplayConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import CheckpointError, SchemaError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.learner.checkpoint import files
+from eia_sec.learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = replace(

@@ -7,18 +7,18 @@ import sys
 
 import pytest
 
-from deploy.local.threads import thread_environment
+from eia_sec.deploy.local.threads import thread_environment
 
 # What a run calls after its warm-up that was not compiled in it; in a process of its own, where nothing was before.
 COUNT = """
 import json, sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-from common.config.algorithms import switched
-from common.config.presets import preset
-from learner.warm_up import warm_up
-from learner.off_policy_trainer import OffPolicyTrainer
-from rollout.worker.collector import Collector
+from eia_sec.common.config.algorithms import switched
+from eia_sec.common.config.presets import preset
+from eia_sec.learner.warm_up import warm_up
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.rollout.worker.collector import Collector
 
 def compiled():
     functions = {}

@@ -4,13 +4,13 @@ import json
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config import FarmConfig, WorldConfig
-from common.errors import ConfigError, PolicyError
-from common.farm import farm_team
-from rollout.evaluation import episode_seed, evaluate, record
-from rollout.policies import ActorPolicy, policy_of
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.errors import ConfigError, PolicyError
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.evaluation import episode_seed, evaluate, record
+from eia_sec.rollout.policies import ActorPolicy, policy_of
+from eia_sec.rollout.sim.batch import FarmBatch
 
 SMALL = FarmConfig(
     world=WorldConfig(communication_uavs=1, monitoring_uavs=2, collection_uavs=3, sensors=60, steps=50, field_x=200.0)

@@ -4,19 +4,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config import FarmConfig, ObservationConfig
-from common.config.presets import preset
-from common.errors import PolicyError
-from common.farm import farm_team
-from common.policy_file import save_policy
-from deploy.commands.policies.evaluate import EvaluateArguments
-from docs.tools.configuration_tables import field_docs
-from rollout import shipped_policies
-from rollout.evaluation import evaluate
-from rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS, default_relays
-from rollout.policies import POLICIES, ActorPolicy, policy_of
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import FarmConfig, ObservationConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import PolicyError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import save_policy
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments
+from eia_sec.rollout import shipped_policies
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS, default_relays
+from eia_sec.rollout.policies import POLICIES, ActorPolicy, policy_of
+from eia_sec.rollout.sim.batch import FarmBatch
+from research.pages.configuration_tables import field_docs
 from tests.rollout.heuristics.small_farm import SMALL
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config.files import to_toml, with_values
-from common.config.presets import preset
-from common.errors import PolicyError
-from common.farm import farm_environment, farm_team
-from common.policy_file import load_policy, save_policy
-from rollout.shipped_policies import TRAINED
-from rollout.start_policy import start_parameters, start_sentence
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.files import to_toml, with_values
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import PolicyError
+from eia_sec.common.farm import farm_environment, farm_team
+from eia_sec.common.policy_file import load_policy, save_policy
+from eia_sec.rollout.shipped_policies import TRAINED
+from eia_sec.rollout.start_policy import start_parameters, start_sentence
 
 NAMES = ("communication", "monitoring", "collection")
 

@@ -72,6 +72,6 @@ for module in map(importlib.import_module, PICKLES):
         setattr(module, function, watched(f"{module.__name__}.{function}", getattr(module, function)))
 
 if __name__ == "__main__":
-    from deploy.cli import main
+    from eia_sec.deploy.cli import main
 
     main()

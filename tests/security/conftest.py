@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from common.transport.credentials import Identity
-from deploy.security import authority
+from eia_sec.common.transport.credentials import Identity
+from eia_sec.deploy.security import authority
 
 YEAR = datetime.timedelta(days=365)
 MEMBERS = (

@@ -12,10 +12,10 @@ from typing import Any
 
 import zenoh
 
-from common.protocol import access, keys
-from common.transport.credentials import Identity
-from common.transport.endpoint import Endpoint, free_endpoint
-from common.transport.zenoh_config import listening
+from eia_sec.common.protocol import access, keys
+from eia_sec.common.transport.credentials import Identity
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.zenoh_config import listening
 from tests.security.probe import open_session
 
 RUN = "matrix"
@@ -59,7 +59,7 @@ def concrete_keys(identity: Identity) -> tuple[str, ...]:
 
 
 def declared(identity: Identity, listed: bool = True) -> set[Cell]:
-    """Return what the table in `common.protocol.access` grants to one process, wildcards included."""
+    """Return what the table in `eia_sec.common.protocol.access` grants to one process, wildcards included."""
     grants = [g for g in access.GRANTS if g.role == access.ANYBODY or (listed and g.role == identity.role)]
     pairs = [pair for grant in grants for pair in grant.expressions(identity.name)]
     return {

@@ -12,8 +12,8 @@ from typing import Any
 
 import zenoh
 
-from common.transport.endpoint import Endpoint
-from common.transport.zenoh_config import connecting
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.common.transport.zenoh_config import connecting
 
 
 class Probe:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from common.protocol import keys
-from common.transport.admission import MOST_WAITING, Admission, AdmissionSource, admission
-from common.transport.bus import Bus
-from common.transport.credentials import load
-from common.transport.endpoint import Endpoint, free_endpoint
-from common.transport.zenoh_config import ACCEPT_MS
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.admission import MOST_WAITING, Admission, AdmissionSource, admission
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import load
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.zenoh_config import ACCEPT_MS
 from tests.system.fleet import until
 
 KEY = keys.TRANSITION.key("run", worker="a")
@@ -100,7 +100,7 @@ def test_what_hung_up_is_seen_and_named(keys_folder):
 def test_a_report_looks_once(monkeypatch):
     """The alarms of a report are of the same look as its metrics, and before the first there are none."""
     looks = iter([Admission(900, 1000, 3), Admission(1, 1000, 0)])
-    monkeypatch.setattr("common.transport.admission.admission", lambda endpoint: next(looks))
+    monkeypatch.setattr("eia_sec.common.transport.admission.admission", lambda endpoint: next(looks))
     source = AdmissionSource(free_endpoint())
     assert source.alarms() == []
     assert source.metrics() == {"descriptors": 900, "waiting_connections": 3}

@@ -4,16 +4,16 @@ import time
 
 import numpy as np
 
-from common.actors import TeamActors
-from common.config import FarmConfig
-from common.farm import farm_team
-from common.protocol import keys
-from common.protocol.messages import Envelope, SetpointMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint, free_endpoint
-from deploy.flight.node import FlightNode, NodeOptions
-from deploy.flight.pilot import Limits, Pilot
-from deploy.flight.vehicle import VehicleLink
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, SetpointMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.flight.node import FlightNode, NodeOptions
+from eia_sec.deploy.flight.pilot import Limits, Pilot
+from eia_sec.deploy.flight.vehicle import VehicleLink
 
 RUN, AGENT, SPEED = "run", "communication_0", (10.0, 10.0)
 TEAM = farm_team(FarmConfig())

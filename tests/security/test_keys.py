@@ -13,11 +13,11 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from common.errors import CredentialsError, EndpointError
-from common.transport.credentials import Identity, load, read_members
-from common.transport.endpoint import Endpoint
-from deploy.commands.fleet.keys import command
-from deploy.security import authority
+from eia_sec.common.errors import CredentialsError, EndpointError
+from eia_sec.common.transport.credentials import Identity, load, read_members
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.commands.fleet.keys import command
+from eia_sec.deploy.security import authority
 from tests.security.conftest import YEAR
 
 

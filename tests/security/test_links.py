@@ -15,15 +15,15 @@ from pathlib import Path
 
 import pytest
 
-from common.errors import CredentialsError, EndpointError
-from common.protocol import keys
-from common.transport.bus import Bus
-from common.transport.credentials import Credentials, Identity
-from common.transport.endpoint import Endpoint, free_endpoint
-from common.transport.handshake import complaint
-from common.transport.zenoh_config import connecting, listening, routing
-from deploy.commands.training import elite, rollout
-from deploy.security import authority
+from eia_sec.common.errors import CredentialsError, EndpointError
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import Credentials, Identity
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.handshake import complaint
+from eia_sec.common.transport.zenoh_config import connecting, listening, routing
+from eia_sec.deploy.commands.training import elite, rollout
+from eia_sec.deploy.security import authority
 from tests.security.conftest import YEAR, make_authority
 from tests.security.probe import open_session
 
@@ -164,7 +164,7 @@ def test_no_certificate_is_not_accepted(bad):
 def test_a_message_over_the_limit_is_dropped_where_it_arrives(monkeypatch):
     """It never reaches the process, its sender gets no answer, and what it sends within the limit is still served."""
     place = free_endpoint()
-    monkeypatch.setattr("common.transport.zenoh_config.MAX_FRAME", 2**20)
+    monkeypatch.setattr("eia_sec.common.transport.zenoh_config.MAX_FRAME", 2**20)
     with Bus.listen(place, "bulk") as bus:
         server = bus.serve("a/x", 8)
         monkeypatch.undo()
@@ -203,7 +203,11 @@ def test_a_link_ends_with_its_certificate(bad):
 def eia_sec(*arguments: str) -> tuple[int, list[str]]:
     """Return exit code and complaints of a command."""
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", *arguments], capture_output=True, text=True, check=False, timeout=100
+        [sys.executable, "-m", "eia_sec.deploy.cli", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
     )
     return done.returncode, done.stderr.splitlines()
 

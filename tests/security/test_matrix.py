@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from common.protocol import access, keys
-from common.transport.credentials import Identity
+from eia_sec.common.protocol import access, keys
+from eia_sec.common.transport.credentials import Identity
 from tests.security.matrix import compare, observe_egress, observe_ingress
 
 NAMES = (

@@ -4,19 +4,19 @@ import time
 
 import pytest
 
-from common.config import RunConfig
-from common.errors import BusError
-from common.protocol import keys
-from common.protocol.messages import Envelope
-from common.transport.bus import Bus, Sample, Server, Subscription
-from common.transport.endpoint import free_endpoint
-from learner.intake.chunk_rules import ChunkRules
-from learner.intake.ledger import Ledger
-from learner.intake.limits import IntakeLimits
-from learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
-from learner.intake.receiver import Receiver
-from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
-from rollout.envs.registry import environment_spec
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import BusError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.transport.bus import Bus, Sample, Server, Subscription
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.learner.intake.chunk_rules import ChunkRules
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
+from eia_sec.learner.intake.receiver import Receiver
+from eia_sec.learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
+from eia_sec.rollout.envs.registry import environment_spec
 
 ENVIRONMENT = environment_spec(RunConfig())
 
@@ -96,7 +96,7 @@ def test_what_is_held_back_is_bounded(size, most):
 
 def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
     """A worker that sends rubbish is refused by name after LIMIT tries; another is still looked at."""
-    monkeypatch.setattr("learner.intake.throttle.HOLD_SECONDS", 0.0)
+    monkeypatch.setattr("eia_sec.learner.intake.throttle.HOLD_SECONDS", 0.0)
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
         receiver = Receiver(

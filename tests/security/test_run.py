@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from common.transport.endpoint import free_endpoint
+from eia_sec.common.transport.endpoint import free_endpoint
 from tests.system.fleet import PRESET, RUN, TINY
 
 SECONDS = 120.0

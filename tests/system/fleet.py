@@ -10,14 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from common.config import RunConfig
-from common.config.files import from_toml
-from common.config.presets import PRESETS
-from common.history.history import Entry, read
-from common.protocol import keys
-from common.protocol.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.config.presets import PRESETS
+from eia_sec.common.history.history import Entry, read
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 
 RUN = "test"
 SECONDS = 90.0
@@ -119,7 +119,7 @@ class Processes:
         self.endpoint: Endpoint = free_endpoint()
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.prefix: tuple[str, ...] = ()
-        self.module = "deploy.cli"
+        self.module = "eia_sec.deploy.cli"
 
     def lengthen(self, episodes: int) -> None:
         """Let the run last long enough for what is to happen in it on a machine of any speed."""

@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from common.transport.endpoint import free_endpoint
-from deploy.monitor.audit import Audit, audit
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.monitor.audit import Audit, audit
 from tests.system.fleet import PRESET, TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
-EIA_SEC = f"env PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m deploy.cli"
+EIA_SEC = f"env PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m eia_sec.deploy.cli"
 """How eia-sec is called on a host that is this machine."""
 
 FAKE_SSH = """#!/bin/sh
@@ -54,7 +54,7 @@ class OnHosts:
 
     def eia_sec(self, *words: str, code: int | None = 0) -> str:
         """Run a command; return what it printed, after its exit code was checked."""
-        command = [*self.prefix, sys.executable, "-m", "deploy.cli", *words]
+        command = [*self.prefix, sys.executable, "-m", "eia_sec.deploy.cli", *words]
         done = subprocess.run(command, capture_output=True, text=True, env=self.environment, timeout=300, check=False)
         assert code in (None, done.returncode), (words, done.returncode, done.stdout, done.stderr)
         return done.stdout + done.stderr
@@ -81,7 +81,7 @@ class OnHosts:
             numbers = [state.get("pid", 0), *(child["pid"] for child in state.get("processes", {}).values())]
             for number in numbers:
                 command = Path(f"/proc/{number}/cmdline")
-                if number and command.exists() and b"deploy.cli" in command.read_bytes():
+                if number and command.exists() and b"eia_sec.deploy.cli" in command.read_bytes():
                     os.kill(number, signal.SIGKILL)
 
 

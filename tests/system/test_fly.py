@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.actions.adapters import SIGNS
-from common.actors import TeamActors
-from common.config.files import to_toml
-from common.farm import farm_team
-from common.gru import Memory
-from common.policy_file import save_policy
-from common.process import StopSignal
-from common.protocol import keys
-from common.protocol.messages import MetricMessage, SetpointMessage
-from common.protocol.metrics import METRICS, undeclared
-from common.transport.bus import Bus
-from common.transport.endpoint import Endpoint, free_endpoint
-from deploy.flight.simulator import SimulatedFleet
-from deploy.flight.vehicle import VehicleLink
-from rollout.evaluation import episode_seed, evaluate
-from rollout.policies import ActorPolicy
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actions.adapters import SIGNS
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.farm import farm_team
+from eia_sec.common.gru import Memory
+from eia_sec.common.policy_file import save_policy
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import MetricMessage, SetpointMessage
+from eia_sec.common.protocol.metrics import METRICS, undeclared
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.flight.simulator import SimulatedFleet
+from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.rollout.evaluation import episode_seed, evaluate
+from eia_sec.rollout.policies import ActorPolicy
+from eia_sec.rollout.sim.batch import FarmBatch
 from tests.system.fleet import RUN, TINY, configured, until
 
 FARM = configured().farm
@@ -53,7 +53,9 @@ class Node:
         command = ["fly", "--policy", str(folder / "actors.safetensors"), "--config", str(self.config)]
         command += ["--run", RUN, "--listen", str(self.endpoint), "--rate", str(RATE)]
         with self.log.open("wb") as log:
-            self.process = subprocess.Popen([sys.executable, "-m", "deploy.cli", *command], stdout=log, stderr=log)
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "eia_sec.deploy.cli", *command], stdout=log, stderr=log
+            )
 
     def bus(self) -> Bus:
         """Return a session with it."""
@@ -144,7 +146,10 @@ def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
     """`eia-sec simulator` flies the episode that `eia-sec evaluate` would fly, and says how long decisions took."""
     command = ["simulator", "--config", str(node.config), "--run", RUN, "--connect", str(node.endpoint), "--json"]
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", *command, "--farm", "1001"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--farm", "1001"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr + node.log.read_text()
     found = json.loads(done.stdout)

@@ -3,9 +3,9 @@
 import hashlib
 from pathlib import Path
 
-from common.config.files import from_toml
-from common.policy_file import load_policy
-from deploy.local.in_process import train_in_process
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.policy_file import load_policy
+from eia_sec.deploy.local.in_process import train_in_process
 from tests.system.fleet import TINY, Processes, configured
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.hosts.log_stream import MOST_READ, Follower
+from eia_sec.deploy.hosts.log_stream import MOST_READ, Follower
 from tests.system.fleet import until
 from tests.system.hosts import EIA_SEC, OnHosts, fake_ssh, sshd
 
@@ -41,7 +41,7 @@ class Command:
     """`eia-sec logs --follow`, with what it has printed so far."""
 
     def __init__(self, fleet: OnHosts, *words: str) -> None:
-        command = [sys.executable, "-m", "deploy.cli", "logs", str(fleet.file), "--follow", *words]
+        command = [sys.executable, "-m", "eia_sec.deploy.cli", "logs", str(fleet.file), "--follow", *words]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         self.process = subprocess.Popen(command, text=True, env=fleet.environment, **pipes)
         self.lines: list[str] = []

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from common.protocol import keys
-from common.protocol.messages import MetricMessage
-from common.protocol.metrics import METRICS, undeclared
-from common.transport.bus import Bus
-from deploy.exit_codes import PIPE_CLOSED
-from deploy.monitor.snapshot import Snapshot, record
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import MetricMessage
+from eia_sec.common.protocol.metrics import METRICS, undeclared
+from eia_sec.common.transport.bus import Bus
+from eia_sec.deploy.exit_codes import PIPE_CLOSED
+from eia_sec.deploy.monitor.snapshot import Snapshot, record
 from tests.faults.tools.harness import LONG
 from tests.system.fleet import RUN, Processes, until
 
@@ -41,7 +41,10 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
 def monitor(watched: Processes, *extra: str) -> subprocess.Popen[str]:
     arguments = ["monitor", "--run", RUN, "--connect", str(watched.endpoint), "--json", "--refresh", "0.2", *extra]
     return subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "eia_sec.deploy.cli", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -106,7 +109,7 @@ def test_the_monitor_ends_when_its_reader_goes(watched: Processes) -> None:
 
 
 def test_every_figure_of_a_run_is_declared(watched: Processes) -> None:
-    """What each role reports is declared in `common.protocol.metrics`, and the reverse, but for rare names."""
+    """What each role reports is declared in `eia_sec.common.protocol.metrics`, and the reverse, but for rare names."""
     reports: dict[str, MetricMessage] = {}
     with Bus.connect(watched.endpoint, "control", wait=10.0) as bus:
         subscription = bus.subscribe(keys.METRIC.pattern(RUN), 256)

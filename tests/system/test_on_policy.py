@@ -2,9 +2,9 @@
 
 import pytest
 
-from common.config.files import from_toml, to_toml
-from common.policy_file import load_policy, save_policy
-from deploy.local.in_process import train_in_process
+from eia_sec.common.config.files import from_toml, to_toml
+from eia_sec.common.policy_file import load_policy, save_policy
+from eia_sec.deploy.local.in_process import train_in_process
 from tests.system.fleet import configured, on_policy, until
 
 

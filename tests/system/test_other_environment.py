@@ -60,7 +60,7 @@ def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     config, run_dir = tmp_path / "relay.toml", tmp_path / "run"
     config.write_text(RELAY.replace('name = "toy_env:Relay"', "").replace("episodes = 120", "episodes = 300"))
     where = os.pathsep.join([str(Path.cwd()), TOYS])
-    command = [sys.executable, "-m", "deploy.cli", "train", "--preset", "eia-sec", "--env", "toy_env:Relay"]
+    command = [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--preset", "eia-sec", "--env", "toy_env:Relay"]
     done = subprocess.run(
         [*command, "--config", str(config), "--run-dir", str(run_dir), "--algorithm.actor-rate", "0.001"],
         env={**os.environ, "PYTHONPATH": where},
@@ -89,7 +89,7 @@ def test_choices_masks_and_boxes_are_trained_together(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])}
     for command in (["train", "--env", "toy_choices:Doors", "--config", str(config)], ["export"]):
         done = subprocess.run(
-            [sys.executable, "-m", "deploy.cli", *command, "--run-dir", str(run_dir)],
+            [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--run-dir", str(run_dir)],
             env=environment,
             capture_output=True,
             text=True,
@@ -127,7 +127,7 @@ def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> No
     (tmp_path / "config.toml").write_text(toml)
     for command in (["evaluate", "--policy", "random"], ["train", "--resume"]):
         done = subprocess.run(
-            [sys.executable, "-m", "deploy.cli", *command, "--run-dir", str(tmp_path)],
+            [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--run-dir", str(tmp_path)],
             capture_output=True,
             text=True,
             timeout=60,
@@ -153,7 +153,7 @@ def test_discrete_actions_are_refused_before_anything_is_made(
         [
             sys.executable,
             "-m",
-            "deploy.cli",
+            "eia_sec.deploy.cli",
             "train",
             "--preset",
             "eia-sec",

@@ -7,13 +7,20 @@ from pathlib import Path
 import psutil
 import pytest
 
-from common.config import RolloutConfig
-from common.errors import BusError
-from common.imitation import ImitationEvent
-from common.protocol import frame, keys
-from common.protocol.messages import ChunkAck, ChunkMessage, CommandMessage, Envelope, ImitationMessage, ReceiptMessage
-from common.transport.bus import Bus
-from deploy.monitor.audit import audit
+from eia_sec.common.config import RolloutConfig
+from eia_sec.common.errors import BusError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.protocol import frame, keys
+from eia_sec.common.protocol.messages import (
+    ChunkAck,
+    ChunkMessage,
+    CommandMessage,
+    Envelope,
+    ImitationMessage,
+    ReceiptMessage,
+)
+from eia_sec.common.transport.bus import Bus
+from eia_sec.deploy.monitor.audit import audit
 from tests.faults.tools.harness import BEHIND
 from tests.system.fleet import RUN, Processes, until
 

@@ -1,4 +1,4 @@
-"""`eia-sec reproduce` with its processes: done, stopped, gone on with; and every study at the smoke scale."""
+"""`python -m research.studies` with its processes: done, stopped, gone on with; and every study at the smoke scale."""
 
 import json
 import os
@@ -11,21 +11,21 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.cli import dispatch
-from experiments.studies.bench import Bench
-from experiments.studies.catalogue import STUDIES
-from experiments.studies.jobs import Records
-from experiments.studies.methods import EIA_SEC
-from experiments.studies.perform import perform
-from experiments.studies.scales import SCALES, SMOKE
-from tests.experiments.studies.tiny_study import TINY
+from research.studies.bench import Bench
+from research.studies.catalogue import STUDIES
+from research.studies.command import command
+from research.studies.jobs import Records
+from research.studies.methods import EIA_SEC
+from research.studies.perform import perform
+from research.studies.scales import SCALES, SMOKE
+from tests.research.studies.tiny_study import TINY
 from tests.system.fleet import until
 
 WHOLE = ("results.json", "README.md")
 
 
 def reproduce(folder: Path, *arguments: str) -> int:
-    return dispatch(["reproduce", *arguments, "--write", str(folder), "--records", str(folder / "records")])
+    return command([*arguments, "--write", str(folder), "--records", str(folder / "records")])
 
 
 def test_a_study_in_processes(
@@ -43,7 +43,7 @@ def test_a_study_in_processes(
     assert list((tmp_path / "records").glob("*.job.json")) == []
     data = json.loads((tmp_path / "smoke" / "ensemble" / "results.json").read_text())
     commands = {run["command"] for method in data["methods"].values() for run in method["runs"]}
-    assert commands == {f"eia-sec reproduce ensemble --scale smoke --write {tmp_path}"}
+    assert commands == {f"python -m research.studies ensemble --scale smoke --write {tmp_path}"}
     capsys.readouterr()
     assert reproduce(tmp_path, "ensemble", "--scale", "smoke") == 0
     assert "runs are there" in capsys.readouterr().out
@@ -54,12 +54,15 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
 
     One record is there beforehand, so that something is whole however soon the signal comes.
     """
-    arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
+    arguments = ["inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
     bench = Bench(SMOKE, Records(tmp_path))
     jobs = [job for stage in STUDIES["inference"].stages(bench) for job in stage]
     perform(jobs[0], bench.records, "before")
     started = subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.PIPE, text=True, start_new_session=True
+        [sys.executable, "-m", "research.studies", *arguments],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     until(lambda: list(tmp_path.glob("*.job.json")), "a run begins")
     children = psutil.Process(started.pid).children(recursive=True)
@@ -75,7 +78,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
     kept = {job.digest: bench.records.path(job).read_bytes() for job in jobs if job.digest not in missing}
     assert jobs[0].digest in kept
     again = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", *arguments], text=True, capture_output=True, check=False
+        [sys.executable, "-m", "research.studies", *arguments], text=True, capture_output=True, check=False
     )
     assert again.returncode == 0, again.stderr
     assert f"first pieces of {len(missing)} runs that are missing ({len(kept)} are there)" in again.stdout
@@ -88,15 +91,15 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
 
 def test_two_starts_do_not_share_the_records(tmp_path: Path) -> None:
     """While one process holds them, another one fails with one sentence."""
-    arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
+    arguments = ["inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
     first = subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-m", "research.studies", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
     )
     try:
         until(lambda: list(tmp_path.glob("*.job.json")), "a run begins")
         first.send_signal(signal.SIGSTOP)  # so that it is not done before the other has started
         second = subprocess.run(
-            [sys.executable, "-m", "deploy.cli", *arguments], text=True, capture_output=True, check=False
+            [sys.executable, "-m", "research.studies", *arguments], text=True, capture_output=True, check=False
         )
         assert second.returncode == 2
         assert "in use by another process" in second.stderr

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from common.protocol import keys
-from common.transport.bus import Bus
-from common.transport.credentials import Identity
-from common.transport.endpoint import Endpoint, free_endpoint
-from deploy.cli import dispatch
-from deploy.local.in_process import train_in_process
-from deploy.monitor.audit import audit
-from deploy.security import authority
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import Identity
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.monitor.audit import audit
+from eia_sec.deploy.security import authority
 from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")

@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from deploy.local.run_directory import METRICS
-from deploy.reports.run_report import read_metrics
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.local.run_directory import METRICS
+from eia_sec.deploy.reports.run_report import read_metrics
 from tests.system.fleet import PRESET, TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
@@ -36,7 +36,7 @@ class Training:
 
     def start(self, *options: str, configured: bool = True) -> None:
         """Start it, with or without the configuration file."""
-        command = [sys.executable, "-m", "deploy.cli", "train", "--run-dir", str(self.run_dir)]
+        command = [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--run-dir", str(self.run_dir)]
         preset = [] if "--preset" in options else ["--preset", PRESET]
         command += [*preset, "--config", str(self.config), *options] if configured else options
         with self.output.open("ab") as output:

@@ -1,16 +1,16 @@
 """The algorithms: one configuration class for each, registered in ALGORITHM_CONFIGS.
 
 `algorithm.name` selects the class. A class has the options that its algorithm reads and names in `sections` the other
-sections that it reads, so that an option without effect is refused (`common.config.effect`). To add an algorithm, write
-its class and add a line to ALGORITHM_CONFIGS. Equations are in docs/reference/algorithms.md, readings A4 to A12 in
-docs/explanation/method.md.
+sections that it reads, so that an option without effect is refused (`eia_sec.common.config.effect`). To add an
+algorithm, write its class and add a line to ALGORITHM_CONFIGS. Equations are in docs/reference/algorithms.md, readings
+A4 to A12 in docs/explanation/method.md.
 """
 
 from dataclasses import fields
 from typing import Final
 
-from common.config.algorithms.base import AlgorithmConfig
-from common.config.algorithms.off_policy import (
+from eia_sec.common.config.algorithms.base import AlgorithmConfig
+from eia_sec.common.config.algorithms.off_policy import (
     BaselineConfig,
     EiaSecConfig,
     MaddpgConfig,
@@ -18,8 +18,8 @@ from common.config.algorithms.off_policy import (
     Matd3Config,
     OffPolicyConfig,
 )
-from common.config.algorithms.on_policy import EiaPpoConfig, IppoConfig, MappoConfig, OnPolicyConfig
-from common.errors import ConfigError
+from eia_sec.common.config.algorithms.on_policy import EiaPpoConfig, IppoConfig, MappoConfig, OnPolicyConfig
+from eia_sec.common.errors import ConfigError
 
 __all__ = [
     "ALGORITHM_CONFIGS",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from common.config.checks import not_negative, positive, within
+from eia_sec.common.config.checks import not_negative, positive, within
 
 
 @dataclass(frozen=True)

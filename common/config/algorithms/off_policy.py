@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from common.config.algorithms.base import AlgorithmConfig
-from common.config.checks import finite, not_negative, positive, within
+from eia_sec.common.config.algorithms.base import AlgorithmConfig
+from eia_sec.common.config.checks import finite, not_negative, positive, within
 
 CriticScope = Literal["local", "joint"]
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from common.config.algorithms.base import AlgorithmConfig
-from common.config.checks import not_negative, positive, within
-from common.errors import ConfigError
+from eia_sec.common.config.algorithms.base import AlgorithmConfig
+from eia_sec.common.config.checks import not_negative, positive, within
+from eia_sec.common.errors import ConfigError
 
 Memory = Literal["none", "gru"]
-"""Kinds of memory; `common.gru` has the unit."""
+"""Kinds of memory; `eia_sec.common.gru` has the unit."""
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,18 @@
 
 from dataclasses import dataclass, field
 
-from common.config.farm.battery import BatteryConfig
-from common.config.farm.control import ControlConfig
-from common.config.farm.equipment import CameraConfig, EnergyConfig, RadioConfig
-from common.config.farm.failures import FailureConfig
-from common.config.farm.observation import ObservationConfig
-from common.config.farm.relay import RelayConfig
-from common.config.farm.reward import RewardConfig
-from common.config.farm.stress import StressConfig
-from common.config.farm.wind import WindConfig
-from common.config.farm.world import WorldConfig
-from common.config.farm.zones import ZoneConfig
-from common.errors import ConfigError
+from eia_sec.common.config.farm.battery import BatteryConfig
+from eia_sec.common.config.farm.control import ControlConfig
+from eia_sec.common.config.farm.equipment import CameraConfig, EnergyConfig, RadioConfig
+from eia_sec.common.config.farm.failures import FailureConfig
+from eia_sec.common.config.farm.observation import ObservationConfig
+from eia_sec.common.config.farm.relay import RelayConfig
+from eia_sec.common.config.farm.reward import RewardConfig
+from eia_sec.common.config.farm.stress import StressConfig
+from eia_sec.common.config.farm.wind import WindConfig
+from eia_sec.common.config.farm.world import WorldConfig
+from eia_sec.common.config.farm.zones import ZoneConfig
+from eia_sec.common.errors import ConfigError
 
 __all__ = [
     "BatteryConfig",

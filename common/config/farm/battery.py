@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config.checks import not_negative, positive, within
+from eia_sec.common.config.checks import not_negative, positive, within
 
 MOST_STATIONS: Final = 64
 """Most charging stations of a farm."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from common.config.checks import within
+from eia_sec.common.config.checks import within
 
 Control = Literal["velocity", "lattice", "moves", "headings"]
 """velocity: the output is the velocity, as printed; lattice: it selects one of nine points to fly to. The others are

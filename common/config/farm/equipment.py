@@ -6,7 +6,7 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 from dataclasses import dataclass
 from typing import Literal
 
-from common.config.checks import finite, not_negative, positive, within
+from eia_sec.common.config.checks import finite, not_negative, positive, within
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from common.config.checks import within
-from common.errors import ConfigError
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import ConfigError
 
 KINDS: Final = ("communication", "monitoring", "collection")
 """Names of the types, in row order."""

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from common.config.checks import within
-from common.errors import ConfigError
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import ConfigError
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import ConfigError
+from eia_sec.common.errors import ConfigError
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

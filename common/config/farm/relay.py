@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from common.config.checks import not_negative, positive
-from common.config.farm.world import WorldConfig
-from common.errors import ConfigError
+from eia_sec.common.config.checks import not_negative, positive
+from eia_sec.common.config.farm.world import WorldConfig
+from eia_sec.common.errors import ConfigError
 
 
 @dataclass(frozen=True)

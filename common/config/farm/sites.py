@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from common.errors import ConfigError
+from eia_sec.common.errors import ConfigError
 
 Sites = tuple[tuple[float, ...], ...]
 """One (x, y) in m, or one (x, y, type), for each sensor; empty when the sensors are sampled."""

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config.checks import positive, within
-from common.config.farm.polygons import Polygon, check_polygon
-from common.errors import ConfigError
+from eia_sec.common.config.checks import positive, within
+from eia_sec.common.config.farm.polygons import Polygon, check_polygon
+from eia_sec.common.errors import ConfigError
 
 Area = tuple[int, Polygon]
 """The growth of an area, and its corners."""

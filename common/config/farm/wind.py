@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config.checks import positive, within
-from common.config.farm.world import WorldConfig
-from common.errors import ConfigError
+from eia_sec.common.config.checks import positive, within
+from eia_sec.common.config.farm.world import WorldConfig
+from eia_sec.common.errors import ConfigError
 
 SEEDED: Final = -1.0
 """The direction of a wind that takes it from the episode's seed."""

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from common.config.checks import not_negative, positive, within
-from common.config.farm.sites import MAX_SENSORS, Sites, check_sites
-from common.errors import ConfigError
+from eia_sec.common.config.checks import not_negative, positive, within
+from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites, check_sites
+from eia_sec.common.errors import ConfigError
 
 Density = Literal["irregular", "uniform", "clustered", "banded", "patchy", "mixed"]
 """How the sensors are distributed over the field."""

@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from common.config.checks import within
-from common.config.farm.polygons import Polygon, check_polygon, inside_any
-from common.config.farm.world import WorldConfig
-from common.errors import ConfigError
+from eia_sec.common.config.checks import within
+from eia_sec.common.config.farm.polygons import Polygon, check_polygon, inside_any
+from eia_sec.common.config.farm.world import WorldConfig
+from eia_sec.common.errors import ConfigError
 
 Zones = tuple[Polygon, ...]
 

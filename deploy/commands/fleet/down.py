@@ -8,12 +8,12 @@ from typing import Annotated
 
 import tyro
 
-from common.config.checks import within
-from common.text import printable_lines
-from deploy.exit_codes import DONE, FAILED
-from deploy.hosts import operations
-from deploy.hosts.fleet_file import read
-from deploy.options import parse
+from eia_sec.common.config.checks import within
+from eia_sec.common.text import printable_lines
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.fleet_file import read
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from common.text import printable, printable_lines
-from deploy.exit_codes import DONE, FAILED
-from deploy.hosts import operations
-from deploy.hosts.fleet_file import read
-from deploy.hosts.history_collection import collect
-from deploy.hosts.plan import here, processes
-from deploy.hosts.render import left_over, render
-from deploy.options import parse
+from eia_sec.common.text import printable, printable_lines
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.fleet_file import read
+from eia_sec.deploy.hosts.history_collection import collect
+from eia_sec.deploy.hosts.plan import here, processes
+from eia_sec.deploy.hosts.render import left_over, render
+from eia_sec.deploy.options import parse
 
 File = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")]
 

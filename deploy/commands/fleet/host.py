@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from common.errors import HostError
-from deploy.exit_codes import DONE
-from deploy.hosts import agent
-from deploy.hosts.history_collection import pack
-from deploy.hosts.keeper import keep
-from deploy.hosts.log_stream import follow
-from deploy.options import parse
+from eia_sec.common.errors import HostError
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.hosts import agent
+from eia_sec.deploy.hosts.history_collection import pack
+from eia_sec.deploy.hosts.keeper import keep
+from eia_sec.deploy.hosts.log_stream import follow
+from eia_sec.deploy.options import parse
 
 MAX_REQUEST = 64 * 1024 * 1024
 """Longest request, bytes; the largest part of one is a farm of many sensors."""

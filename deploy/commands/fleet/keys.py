@@ -10,12 +10,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from common.errors import CredentialsError
-from common.transport import credentials
-from common.transport.credentials import CA, CERTIFICATE, LISTENING, MEMBERS, ROLES, SOON, Identity
-from deploy.exit_codes import DONE
-from deploy.options import parse
-from deploy.security import authority
+from eia_sec.common.errors import CredentialsError
+from eia_sec.common.transport import credentials
+from eia_sec.common.transport.credentials import CA, CERTIFICATE, LISTENING, MEMBERS, ROLES, SOON, Identity
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.options import parse
+from eia_sec.deploy.security import authority
 
 Role = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
 Name = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]

@@ -9,16 +9,16 @@ from typing import Annotated, Final
 
 import tyro
 
-from common.config.checks import within
-from common.errors import UsageError
-from common.process import StopSignal
-from common.text import printable_lines
-from deploy.exit_codes import DONE, FAILED
-from deploy.hosts import operations
-from deploy.hosts.agent import MAX_LINES
-from deploy.hosts.fleet_file import FleetSpec, read
-from deploy.hosts.plan import here, processes
-from deploy.options import parse
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import UsageError
+from eia_sec.common.process import StopSignal
+from eia_sec.common.text import printable_lines
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.agent import MAX_LINES
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
+from eia_sec.deploy.hosts.plan import here, processes
+from eia_sec.deploy.options import parse
 
 NAMED: Final = 8
 """Processes that a refusal names; a fleet may have hundreds."""

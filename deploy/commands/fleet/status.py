@@ -1,7 +1,7 @@
 """`eia-sec status fleet.toml`: the table of a fleet's processes.
 
-`deploy.hosts.operations.status` asks the agent on each host (`deploy.hosts.agent.status`) for the states. The fleet
-file says which processes there should be.
+`eia_sec.deploy.hosts.operations.status` asks the agent on each host (`eia_sec.deploy.hosts.agent.status`) for the
+states. The fleet file says which processes there should be.
 """
 
 import json
@@ -16,12 +16,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from common.text import printable, printable_lines
-from deploy.exit_codes import DONE, FAILED
-from deploy.hosts import operations
-from deploy.hosts.fleet_file import FleetSpec, read
-from deploy.hosts.plan import here, processes
-from deploy.options import parse
+from eia_sec.common.text import printable, printable_lines
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
+from eia_sec.deploy.hosts.plan import here, processes
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

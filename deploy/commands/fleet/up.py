@@ -8,11 +8,11 @@ from typing import Annotated
 
 import tyro
 
-from deploy.commands.fleet.status import show
-from deploy.exit_codes import DONE, FAILED
-from deploy.hosts import operations
-from deploy.hosts.fleet_file import read
-from deploy.options import parse
+from eia_sec.deploy.commands.fleet.status import show
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.fleet_file import read
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

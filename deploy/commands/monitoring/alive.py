@@ -8,14 +8,14 @@ from typing import Annotated, Final
 
 import tyro
 
-from common.config.checks import within
-from common.errors import CredentialsError, EndpointError, UsageError
-from common.names import check_name
-from common.protocol import keys
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.exit_codes import DONE, FAILED
-from deploy.options import parse
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import CredentialsError, EndpointError, UsageError
+from eia_sec.common.names import check_name
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.options import parse
 
 LIVING: Final = ("learner", "rollout", "elite", "router")
 """Roles that can be probed. A router has no token: it is alive when it answers."""

@@ -10,8 +10,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from deploy.monitor.audit import FATES, NAMED, Audit, audit
-from deploy.options import parse
+from eia_sec.deploy.monitor.audit import FATES, NAMED, Audit, audit
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

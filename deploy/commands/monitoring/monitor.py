@@ -10,16 +10,16 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 
-from common.config.checks import within
-from common.names import check_name
-from common.process import StopSignal, denial
-from common.protocol import keys
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import RunMonitor
-from deploy.monitor.snapshot import record
-from deploy.options import parse
+from eia_sec.common.config.checks import within
+from eia_sec.common.names import check_name
+from eia_sec.common.process import StopSignal, denial
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.monitor.live_view import render, summary
+from eia_sec.deploy.monitor.run_monitor import RunMonitor
+from eia_sec.deploy.monitor.snapshot import record
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

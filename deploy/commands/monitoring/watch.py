@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from common.config.checks import within
-from common.errors import EiaSecError, EndpointError
-from common.names import check_name
-from common.process import StopSignal
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.exit_codes import DONE
-from deploy.monitor.web.hub import Hub
-from deploy.monitor.web.server import WebServer, bracketed
-from deploy.monitor.web.source import Source
-from deploy.options import parse
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import EiaSecError, EndpointError
+from eia_sec.common.names import check_name
+from eia_sec.common.process import StopSignal
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.monitor.web.hub import Hub
+from eia_sec.deploy.monitor.web.server import WebServer, bracketed
+from eia_sec.deploy.monitor.web.source import Source
+from eia_sec.deploy.options import parse
 
 TICK_SECONDS: Final = 0.04
 

@@ -9,18 +9,18 @@ from typing import Final
 
 from rich.console import Console
 
-from common.config import RunConfig
-from common.config.files import from_toml
-from common.config.presets import PRESETS
-from common.errors import PolicyError, RunDirError, UsageError
-from common.farm import require_farm
-from deploy.exit_codes import DONE
-from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
-from deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
-from deploy.reports.comparison_tables import comparison_table
-from rollout.evaluation import Evaluation, evaluate_run
-from rollout.policies import run_policy
-from rollout.shipped_policies import preset_of
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.config.presets import PRESETS
+from eia_sec.common.errors import PolicyError, RunDirError, UsageError
+from eia_sec.common.farm import require_farm
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
+from eia_sec.deploy.reports.comparison_tables import comparison_table
+from eia_sec.rollout.evaluation import Evaluation, evaluate_run
+from eia_sec.rollout.policies import run_policy
+from eia_sec.rollout.shipped_policies import preset_of
 
 MAX_FARMS: Final = 100_000
 DIGITS: Final = 19
@@ -122,7 +122,7 @@ def configuration_of(arguments: EvaluateArguments, farm_only: str | None = None)
 
     Args:
         arguments: the options.
-        farm_only: for a command that works only with the farm, its complaint for `common.farm.require_farm`.
+        farm_only: for a command that works only with the farm, its complaint for `eia_sec.common.farm.require_farm`.
 
     Raises:
         UsageError: something in the arguments does not exist or is impossible.

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from common.errors import RunDirError
-from common.farm import farm_of, farm_team
-from common.policy_file import load_policy
-from deploy.exit_codes import DONE
-from deploy.local.run_directory import POLICY, RunDirectory, own_folder
-from deploy.options import parse
-from deploy.policies.export import export_onnx, export_safetensors
-from rollout.policies import fitted
+from eia_sec.common.errors import RunDirError
+from eia_sec.common.farm import farm_of, farm_team
+from eia_sec.common.policy_file import load_policy
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.local.run_directory import POLICY, RunDirectory, own_folder
+from eia_sec.deploy.options import parse
+from eia_sec.deploy.policies.export import export_onnx, export_safetensors
+from eia_sec.rollout.policies import fitted
 
 FORMATS: Final = {"onnx": export_onnx, "safetensors": export_safetensors}
 

@@ -10,16 +10,16 @@ import tyro
 from rich.console import Console
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig
-from common.config.checks import within
-from common.config.farm.world import Density
-from common.config.files import from_toml
-from common.config.presets import PRESETS
-from common.errors import UsageError
-from deploy.exit_codes import DONE
-from deploy.options import parse, with_farm_file, with_settings
-from deploy.reports.farm_plots import draw_farm
-from rollout.farm_files import read_farm, write_farm
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.checks import within
+from eia_sec.common.config.farm.world import Density
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.config.presets import PRESETS
+from eia_sec.common.errors import UsageError
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.options import parse, with_farm_file, with_settings
+from eia_sec.deploy.reports.farm_plots import draw_farm
+from eia_sec.rollout.farm_files import read_farm, write_farm
 
 
 @dataclass(frozen=True)

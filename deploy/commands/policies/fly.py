@@ -4,23 +4,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.config import FarmConfig
-from common.config.checks import positive, within
-from common.config.files import from_toml
-from common.config.presets import PRESETS
-from common.errors import RunDirError, UsageError
-from common.farm import farm_team, require_farm
-from common.names import check_name
-from common.policy_file import load_policy
-from common.process import StopSignal, log
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.flight.node import FlightNode, NodeOptions
-from deploy.flight.pilot import Limits, Pilot
-from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
-from deploy.options import parse
-from rollout.policies import fitted
-from rollout.shipped_policies import policy_path, preset_of
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.checks import positive, within
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.config.presets import PRESETS
+from eia_sec.common.errors import RunDirError, UsageError
+from eia_sec.common.farm import farm_team, require_farm
+from eia_sec.common.names import check_name
+from eia_sec.common.policy_file import load_policy
+from eia_sec.common.process import StopSignal, log
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.flight.node import FlightNode, NodeOptions
+from eia_sec.deploy.flight.pilot import Limits, Pilot
+from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from eia_sec.deploy.options import parse
+from eia_sec.rollout.policies import fitted
+from eia_sec.rollout.shipped_policies import policy_path, preset_of
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from common.config.checks import within
-from common.errors import UsageError
-from common.farm import require_farm
-from deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, policy_name
-from deploy.exit_codes import DONE
-from deploy.local.run_directory import own_folder
-from deploy.options import parse
-from deploy.policies.replay import Comparison, film, paper_pictures
-from deploy.reports.film import find_ffmpeg
-from rollout.shipped_policies import SHIPPED
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import UsageError
+from eia_sec.common.farm import require_farm
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, policy_name
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.local.run_directory import own_folder
+from eia_sec.deploy.options import parse
+from eia_sec.deploy.policies.replay import Comparison, film, paper_pictures
+from eia_sec.deploy.reports.film import find_ffmpeg
+from eia_sec.rollout.shipped_policies import SHIPPED
 
 ONLY_FARM: Final = "this run is about {}; only the farm can be replayed."
 

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from common.config import FarmConfig
-from common.config.checks import positive, within
-from common.errors import UsageError
-from common.farm import farm_team
-from common.names import check_name
-from common.process import StopSignal
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.commands.policies.fly import farm_of, vehicles_of
-from deploy.flight.pilot import require_agents
-from deploy.flight.simulator import Flight, SimulatedFleet
-from deploy.flight.vehicle import VehicleLink
-from deploy.options import parse
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.checks import positive, within
+from eia_sec.common.errors import UsageError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.names import check_name
+from eia_sec.common.process import StopSignal
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.commands.policies.fly import farm_of, vehicles_of
+from eia_sec.deploy.flight.pilot import require_agents
+from eia_sec.deploy.flight.simulator import Flight, SimulatedFleet
+from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.options import parse
 
 
 @dataclass(frozen=True)

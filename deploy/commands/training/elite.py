@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.config.checks import within
-from common.names import check_name
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.options import parse
-from elite.service import CoordinatorOptions, serve
+from eia_sec.common.config.checks import within
+from eia_sec.common.names import check_name
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.options import parse
+from eia_sec.elite.service import CoordinatorOptions, serve
 
 
 @dataclass(frozen=True)

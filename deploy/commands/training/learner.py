@@ -8,20 +8,20 @@ from typing import Annotated
 
 import tyro
 
-from common.config import RunConfig
-from common.config.checks import within
-from common.errors import UsageError
-from common.names import check_name
-from common.process import log
-from common.team import TeamSpec
-from common.transport.endpoint import DEFAULT, Endpoint
-from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration, parse
-from learner.networks.device import usable_device
-from learner.options import LearnerOptions
-from learner.service import serve
-from rollout.envs.registry import environment_spec
-from rollout.start_policy import StartParameters, start_parameters, start_sentence
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.checks import within
+from eia_sec.common.errors import UsageError
+from eia_sec.common.names import check_name
+from eia_sec.common.process import log
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.learner.networks.device import usable_device
+from eia_sec.learner.options import LearnerOptions
+from eia_sec.learner.service import serve
+from eia_sec.rollout.envs.registry import environment_spec
+from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 
 @dataclass(frozen=True)

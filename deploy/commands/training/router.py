@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from common.process import StopSignal, log
-from common.transport.admission import admission
-from common.transport.bus import Bus
-from common.transport.endpoint import DEFAULT, Endpoint
-from common.transport.zenoh_config import document, routing
-from deploy.exit_codes import DONE
-from deploy.options import parse
+from eia_sec.common.process import StopSignal, log
+from eia_sec.common.transport.admission import admission
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.common.transport.zenoh_config import document, routing
+from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.options import parse
 
 LOOK_SECONDS: Final = 1.0
 ALARM_SECONDS: Final = 60.0

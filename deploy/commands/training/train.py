@@ -10,26 +10,26 @@ import tyro
 from rich.console import Console
 from rich.live import Live
 
-from common.config import RunConfig
-from common.config.checks import within
-from common.config.presets import SAVED
-from common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
-from common.process import StopSignal
-from common.protocol import keys
-from common.protocol.messages import CommandMessage
-from common.transport.bus import Bus
-from common.transport.credentials import load
-from common.transport.endpoint import Endpoint, free_endpoint
-from deploy.exit_codes import USAGE
-from deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
-from deploy.local.supervisor import Supervisor
-from deploy.local.threads import allowed_cores
-from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import RunMonitor
-from deploy.options import base_configuration, parse
-from deploy.output import patient_output
-from rollout.envs.registry import environment_spec
-from rollout.start_policy import StartParameters, start_parameters, start_sentence
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.checks import within
+from eia_sec.common.config.presets import SAVED
+from eia_sec.common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import load
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
+from eia_sec.deploy.local.supervisor import Supervisor
+from eia_sec.deploy.local.threads import allowed_cores
+from eia_sec.deploy.monitor.live_view import render, summary
+from eia_sec.deploy.monitor.run_monitor import RunMonitor
+from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.deploy.output import patient_output
+from eia_sec.rollout.envs.registry import environment_spec
+from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -104,7 +104,7 @@ def command(arguments: Sequence[str]) -> int:
     _Training(options, workers, directory, endpoint, console).run()
     finished = directory.finished()
     if finished and options.report:
-        from deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
+        from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
         write_report(directory, options.settings, command_line(arguments, options.workers, workers), console)
     elif not finished:
@@ -148,7 +148,7 @@ def worker_count(options: TrainArguments) -> int:
 def _require_device(name: str) -> None:
     """Raise ConfigError unless the learner's device exists, before any file is written."""
     if name != "cpu":
-        from learner.networks.device import usable_device  # noqa: PLC0415  (importing torch takes seconds, and only this needs it)
+        from eia_sec.learner.networks.device import usable_device  # noqa: PLC0415  (importing torch takes seconds, and only this needs it)
 
         usable_device(name)
 

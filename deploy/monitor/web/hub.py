@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from typing import Final
 
-from deploy.monitor.web.packets import Packet
+from eia_sec.deploy.monitor.web.packets import Packet
 
 HISTORY_FRAMES: Final = 2048
 """Most frames that are kept for browsers that connect later; the page keeps as many."""

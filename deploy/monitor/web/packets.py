@@ -15,11 +15,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.farm import farm_team
-from common.protocol.messages import ViewMessage, WatchTerms
-from common.protocol.view_checks import NO_RELAY
-from rollout.rendering.palette import (
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol.messages import ViewMessage, WatchTerms
+from eia_sec.common.protocol.view_checks import NO_RELAY
+from eia_sec.rollout.rendering.palette import (
     AGE_STOPS,
     COLOURS,
     GONE,
@@ -32,12 +32,12 @@ from rollout.rendering.palette import (
     TYPES,
     ZONE,
 )
-from rollout.rendering.scene import TRAIL_STEPS, camera_radius, chain_of, links_up, radio_radius
-from rollout.sim.base_station import base_place
-from rollout.sim.layout import Layout
-from rollout.sim.stations import station_places
-from rollout.sim.stress import patches
-from rollout.sim.wind import wind_series
+from eia_sec.rollout.rendering.scene import TRAIL_STEPS, camera_radius, chain_of, links_up, radio_radius
+from eia_sec.rollout.sim.base_station import base_place
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.stations import station_places
+from eia_sec.rollout.sim.stress import patches
+from eia_sec.rollout.sim.wind import wind_series
 
 _LENGTH: Final = struct.Struct("<I")
 _DTYPES: Final = {"<f4": "f4", "|u1": "u1"}

@@ -16,8 +16,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from common.errors import EndpointError
-from deploy.monitor.web.hub import Hub
+from eia_sec.common.errors import EndpointError
+from eia_sec.deploy.monitor.web.hub import Hub
 
 PAGE: Final = Path(__file__).parent / "page"
 FILES: Final = {

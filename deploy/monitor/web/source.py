@@ -4,18 +4,18 @@ import os
 import time
 from typing import Final
 
-from common.config import FarmConfig
-from common.config.presets import read_saved
-from common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
-from common.names import is_name
-from common.process import denial
-from common.protocol import keys
-from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
-from common.protocol.view_checks import MAX_PARTS, check_view
-from common.transport.bus import Bus, Sample, Subscription
-from deploy.monitor.web import packets
-from deploy.monitor.web.hub import Hub
-from rollout.sim.layout import make_layout
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.presets import read_saved
+from eia_sec.common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
+from eia_sec.common.names import is_name
+from eia_sec.common.process import denial
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
+from eia_sec.common.protocol.view_checks import MAX_PARTS, check_view
+from eia_sec.common.transport.bus import Bus, Sample, Subscription
+from eia_sec.deploy.monitor.web import packets
+from eia_sec.deploy.monitor.web.hub import Hub
+from eia_sec.rollout.sim.layout import make_layout
 
 MOST_WORKERS: Final = 4096
 """Most living workers that are remembered."""

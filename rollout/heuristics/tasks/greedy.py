@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tasks.targets import Targets
-from rollout.sim.boxes import Array, aim, steps_to
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks.targets import Targets
+from eia_sec.rollout.sim.boxes import Array, aim, steps_to
 
 OFFSET: Final = 1.0
 """c, steps."""

@@ -10,18 +10,18 @@ from typing import Final
 
 import numpy as np
 
-from common.config import FarmConfig
-from common.farm import lattice_of
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tasks import lawnmower
-from rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
-from rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
-from rollout.sim.boxes import reach
-from rollout.sim.detours import Airspace, airspace_of
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.layout import cell_counts
-from rollout.sim.sweep_routes import plot_centres
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import lattice_of
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks import lawnmower
+from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
+from eia_sec.rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
+from eia_sec.rollout.sim.boxes import reach
+from eia_sec.rollout.sim.detours import Airspace, airspace_of
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power
+from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 LAST: Final = 60
 """Number of last steps in which plans look further ahead, because whatever is unserved at the end is lost."""
@@ -53,7 +53,7 @@ class Effort:
 
 
 EFFORT: Final = Effort()
-"""The heuristic's search effort where there is no stress. `experiments.search` shows what more effort gains."""
+"""The heuristic's search effort where there is no stress. `research.search` shows what more effort gains."""
 STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 """Its effort where there can be stress: a larger search pays there, for `uneven` 2 %."""
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tasks.targets import Targets
-from rollout.sim.boxes import Array, aim, steps_to
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks.targets import Targets
+from eia_sec.rollout.sim.boxes import Array, aim, steps_to
 
 Indices = NDArray[np.int64]
 

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from common.config import WorldConfig
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tasks.tour_follower import TourFollower
-from rollout.sim.boxes import Array
-from rollout.sim.sweep_routes import Block, divided, shortest, sweep_routes
+from eia_sec.common.config import WorldConfig
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks.tour_follower import TourFollower
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.sweep_routes import Block, divided, shortest, sweep_routes
 
 LANE: Final = 50.0
 """Widest lane of a collector, m."""

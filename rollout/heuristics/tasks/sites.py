@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig, WorldConfig
-from rollout.sim.boxes import Array, reach
-from rollout.sim.kernel.camera import plot_quality
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.radio import delivery, received_power
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.sim.boxes import Array, reach
+from eia_sec.rollout.sim.kernel.camera import plot_quality
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.radio import delivery, received_power
+from eia_sec.rollout.sim.layout import cell_counts
 
 Indices = NDArray[np.int64]
 

@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rollout.heuristics.composite import MONITORS, FarmState
-from rollout.heuristics.tasks.sites import sensor_stops
-from rollout.sim.boxes import Array
-from rollout.sim.detours import airspace_of
-from rollout.sim.sweep_routes import plot_boxes
+from eia_sec.rollout.heuristics.composite import MONITORS, FarmState
+from eia_sec.rollout.heuristics.tasks.sites import sensor_stops
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.detours import airspace_of
+from eia_sec.rollout.sim.sweep_routes import plot_boxes
 
 
 class Targets:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
-from common.config import WorldConfig
-from common.seeds import stream
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tasks.sites import sensor_stops, steps_between
-from rollout.heuristics.tasks.tour_follower import TourFollower
-from rollout.sim.boxes import Array
-from rollout.sim.sweep_routes import plot_boxes, plot_centres
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.seeds import stream
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks.sites import sensor_stops, steps_between
+from eia_sec.rollout.heuristics.tasks.tour_follower import TourFollower
+from eia_sec.rollout.sim.boxes import Array
+from eia_sec.rollout.sim.sweep_routes import plot_boxes, plot_centres
 
 Indices = NDArray[np.int64]
 

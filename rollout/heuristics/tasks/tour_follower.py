@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from rollout.heuristics.composite import FarmState
-from rollout.sim.boxes import Array, aim, inside, steps_to
-from rollout.sim.detours import airspace_of
-from rollout.sim.sweep_routes import assigned_routes
+from eia_sec.rollout.heuristics.composite import FarmState
+from eia_sec.rollout.sim.boxes import Array, aim, inside, steps_to
+from eia_sec.rollout.sim.detours import airspace_of
+from eia_sec.rollout.sim.sweep_routes import assigned_routes
 
 PATIENCE: Final = 3
 """If another UAV blocks the way for this many steps, the UAV skips the box until the next lap."""

@@ -1,1 +1,1 @@
-"""The compiled simulator, one module per subject. Use it only through `rollout.sim.batch`."""
+"""The compiled simulator, one module per subject. Use it only through `eia_sec.rollout.sim.batch`."""

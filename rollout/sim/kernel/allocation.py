@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from common.config import FarmConfig
-from common.farm import farm_team
-from rollout.sim.kernel.arrays import REWARD_PARTS, Scratch, State
-from rollout.sim.kernel.assignment.arrays import make_assignment_scratch
-from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.plans.arrays import make_plan_scratch
-from rollout.sim.kernel.views.arrays import make_view_scratch
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.sim.kernel.arrays import REWARD_PARTS, Scratch, State
+from eia_sec.rollout.sim.kernel.assignment.arrays import make_assignment_scratch
+from eia_sec.rollout.sim.kernel.constants import Constants
+from eia_sec.rollout.sim.kernel.plans.arrays import make_plan_scratch
+from eia_sec.rollout.sim.kernel.views.arrays import make_view_scratch
+from eia_sec.rollout.sim.layout import cell_counts
 
 
 def make_state(config: FarmConfig, numbers: Constants, environments: int, hindsight: bool) -> State:

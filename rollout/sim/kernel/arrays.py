@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.assignment.arrays import AssignmentScratch
-from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
-from rollout.sim.kernel.plans.arrays import PlanScratch
-from rollout.sim.kernel.views.arrays import ViewScratch
+from eia_sec.rollout.sim.kernel.assignment.arrays import AssignmentScratch
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from eia_sec.rollout.sim.kernel.plans.arrays import PlanScratch
+from eia_sec.rollout.sim.kernel.views.arrays import ViewScratch
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -23,7 +23,7 @@ class State(NamedTuple):
     """State of all environments [E]; UAVs [n] in row order.
 
     Attributes:
-        key: [E] packet key of the episode, see `rollout.sim.batch.packet_key`.
+        key: [E] packet key of the episode, see `eia_sec.rollout.sim.batch.packet_key`.
         time: [E] steps done; -1 before the first reset.
         position: [E, n, 2] m.
         direction: [E, n, 2] current D_VDF and D_AoI.

@@ -3,8 +3,8 @@
 The middle of the field is exactly 0, on every processor, because the subtraction comes first.
 """
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, ObservationConstants
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, ObservationConstants
 
 
 @allocation_free

@@ -2,12 +2,12 @@
 
 import math
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, CameraConstants, Constants, FleetConstants, Int32
-from rollout.sim.kernel.hindsight import note_image
-from rollout.sim.kernel.spatial.neighbours import is_nearest
-from rollout.sim.kernel.spatial.tallies import add, tally_plots
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, CameraConstants, Constants, FleetConstants, Int32
+from eia_sec.rollout.sim.kernel.hindsight import note_image
+from eia_sec.rollout.sim.kernel.spatial.neighbours import is_nearest
+from eia_sec.rollout.sim.kernel.spatial.tallies import add, tally_plots
 
 
 @allocation_free

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from rollout.sim.base_station import base_place
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.sim.base_station import base_place
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -6,10 +6,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.errors import ConfigError
-from rollout.sim.kernel.chain import ChainConstants, chain_constants
-from rollout.sim.kernel.event_constants import (
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.sim.kernel.chain import ChainConstants, chain_constants
+from eia_sec.rollout.sim.kernel.event_constants import (
     BatteryConstants,
     FailureConstants,
     StressConstants,
@@ -17,11 +17,11 @@ from rollout.sim.kernel.event_constants import (
     failure_constants,
     stress_constants,
 )
-from rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
-from rollout.sim.kernel.flight.ways import WayConstants, way_constants
-from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
-from rollout.sim.kernel.plans.constants import PlanConstants, plan_constants
-from rollout.sim.kernel.views.constants import ViewConstants, view_constants
+from eia_sec.rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
+from eia_sec.rollout.sim.kernel.flight.ways import WayConstants, way_constants
+from eia_sec.rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
+from eia_sec.rollout.sim.kernel.plans.constants import PlanConstants, plan_constants
+from eia_sec.rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.farm import farm_team
-from rollout.sim.stations import station_places
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
+from eia_sec.common.config import FarmConfig
 
 Array = NDArray[np.float64]
 

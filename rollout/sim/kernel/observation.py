@@ -17,14 +17,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.axes import in_field, in_plot, sign_of
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
-from rollout.sim.kernel.flight.failures import see_nothing
-from rollout.sim.kernel.flight.planes import height_of
-from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
-from rollout.sim.kernel.views.added import add_collector, add_monitor, add_relay
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.axes import in_field, in_plot, sign_of
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
+from eia_sec.rollout.sim.kernel.flight.failures import see_nothing
+from eia_sec.rollout.sim.kernel.flight.planes import height_of
+from eia_sec.rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
+from eia_sec.rollout.sim.kernel.views.added import add_collector, add_monitor, add_relay
 
 Float32 = NDArray[np.float32]
 

@@ -6,14 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
-from rollout.sim.kernel.flight.planes import height_of
-from rollout.sim.kernel.hindsight import note_packet
-from rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
-from rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
-from rollout.sim.kernel.spatial.tallies import add_sensor, tally_sensors
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
+from eia_sec.rollout.sim.kernel.flight.planes import height_of
+from eia_sec.rollout.sim.kernel.hindsight import note_packet
+from eia_sec.rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
+from eia_sec.rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
+from eia_sec.rollout.sim.kernel.spatial.tallies import add_sensor, tally_sensors
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)

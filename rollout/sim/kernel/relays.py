@@ -3,17 +3,17 @@
 import math
 from typing import Final
 
-from rollout.sim.kernel.arrays import Farm, Flags, Scratch
-from rollout.sim.kernel.assignment.arrays import AssignmentScratch
-from rollout.sim.kernel.assignment.exchanges import settle
-from rollout.sim.kernel.assignment.hungarian import assign
-from rollout.sim.kernel.chain import join_relays
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.compiler.logarithm import vectorisable_log
-from rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
-from rollout.sim.kernel.flight.failures import NOBODY, capacity_left
-from rollout.sim.kernel.flight.motion import separation
-from rollout.sim.kernel.flight.planes import height_of
+from eia_sec.rollout.sim.kernel.arrays import Farm, Flags, Scratch
+from eia_sec.rollout.sim.kernel.assignment.arrays import AssignmentScratch
+from eia_sec.rollout.sim.kernel.assignment.exchanges import settle
+from eia_sec.rollout.sim.kernel.assignment.hungarian import assign
+from eia_sec.rollout.sim.kernel.chain import join_relays
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.compiler.logarithm import vectorisable_log
+from eia_sec.rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
+from eia_sec.rollout.sim.kernel.flight.failures import NOBODY, capacity_left
+from eia_sec.rollout.sim.kernel.flight.motion import separation
+from eia_sec.rollout.sim.kernel.flight.planes import height_of
 
 NO_LINK: Final = -1000.0
 """Quality of the link of a UAV that has no relay, dB; finite, because views carry only finite numbers (ours)."""

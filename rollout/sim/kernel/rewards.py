@@ -22,12 +22,12 @@ part, change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` use
 import math
 from typing import Final
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.chain import join_relays
-from rollout.sim.kernel.compiler.decorators import inlined
-from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.flight.motion import safety_risk
-from rollout.sim.kernel.link import NEGLIGIBLE
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.chain import join_relays
+from eia_sec.rollout.sim.kernel.compiler.decorators import inlined
+from eia_sec.rollout.sim.kernel.constants import Constants
+from eia_sec.rollout.sim.kernel.flight.motion import safety_risk
+from eia_sec.rollout.sim.kernel.link import NEGLIGIBLE
 
 POSITIONING: Final = 0
 ENERGY: Final = 1

@@ -18,25 +18,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch, State
-from rollout.sim.kernel.camera import photograph
-from rollout.sim.kernel.compiler.argument_pack import unpack
-from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
-from rollout.sim.kernel.compiler.prefetch import prefetch
-from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.flight.battery import use_charge
-from rollout.sim.kernel.flight.failures import lose_uavs, show_places
-from rollout.sim.kernel.flight.motion import find_nearest, fly
-from rollout.sim.kernel.flight.ways import bar_steps, close_plots
-from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
-from rollout.sim.kernel.plans.places import list_points
-from rollout.sim.kernel.radio import interfere, send, update_age
-from rollout.sim.kernel.relays import assign_relays, measure_service
-from rollout.sim.kernel.rewards import reward_step
-from rollout.sim.kernel.spatial.quadrants import point_to_age, point_to_level
-from rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
-from rollout.sim.kernel.stress import change_cycles, find_stress
-from rollout.sim.kernel.views.added import prepare_views
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch, State
+from eia_sec.rollout.sim.kernel.camera import photograph
+from eia_sec.rollout.sim.kernel.compiler.argument_pack import unpack
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
+from eia_sec.rollout.sim.kernel.compiler.prefetch import prefetch
+from eia_sec.rollout.sim.kernel.constants import Constants
+from eia_sec.rollout.sim.kernel.flight.battery import use_charge
+from eia_sec.rollout.sim.kernel.flight.failures import lose_uavs, show_places
+from eia_sec.rollout.sim.kernel.flight.motion import find_nearest, fly
+from eia_sec.rollout.sim.kernel.flight.ways import bar_steps, close_plots
+from eia_sec.rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
+from eia_sec.rollout.sim.kernel.plans.places import list_points
+from eia_sec.rollout.sim.kernel.radio import interfere, send, update_age
+from eia_sec.rollout.sim.kernel.relays import assign_relays, measure_service
+from eia_sec.rollout.sim.kernel.rewards import reward_step
+from eia_sec.rollout.sim.kernel.spatial.quadrants import point_to_age, point_to_level
+from eia_sec.rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
+from eia_sec.rollout.sim.kernel.stress import change_cycles, find_stress
+from eia_sec.rollout.sim.kernel.views.added import prepare_views
 
 Float32 = NDArray[np.float32]
 

@@ -9,10 +9,10 @@ they give each counter.
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, Int32
-from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, block_ends
+from eia_sec.rollout.sim.kernel.arrays import Farm
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Int32
+from eia_sec.rollout.sim.kernel.views.maps import BLOCK, BLOCKS, block_ends
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -12,24 +12,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import EDGE, MirroredAxes, NineMoves
-from common.config import FarmConfig
-from common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
-from rollout.sim.kernel.link import radio_constants
-from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
-from rollout.sim.kernel.views.fields import FLOOR, SCALE
-from rollout.sim.kernel.views.routes import STAY
-from rollout.sim.kernel.views.units import MOST
-from rollout.sim.reference.airspace import airspace_view
-from rollout.sim.reference.axes import place_of, signs_of
-from rollout.sim.reference.battery import charge_view
-from rollout.sim.reference.links import link_view, links_view
-from rollout.sim.reference.plans import plan_view, plans, worths
-from rollout.sim.reference.routes import route_view
-from rollout.sim.reference.stress import stress_view
+from eia_sec.common.actions.adapters import EDGE, MirroredAxes, NineMoves
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
+from eia_sec.rollout.sim.kernel.link import radio_constants
+from eia_sec.rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
+from eia_sec.rollout.sim.kernel.views.fields import FLOOR, SCALE
+from eia_sec.rollout.sim.kernel.views.routes import STAY
+from eia_sec.rollout.sim.kernel.views.units import MOST
+from eia_sec.rollout.sim.reference.airspace import airspace_view
+from eia_sec.rollout.sim.reference.axes import place_of, signs_of
+from eia_sec.rollout.sim.reference.battery import charge_view
+from eia_sec.rollout.sim.reference.links import link_view, links_view
+from eia_sec.rollout.sim.reference.plans import plan_view, plans, worths
+from eia_sec.rollout.sim.reference.routes import route_view
+from eia_sec.rollout.sim.reference.stress import stress_view
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 MOVES = NineMoves().adapt(np.zeros(0, np.float32), np.arange(9, dtype=np.float32)[:, None])

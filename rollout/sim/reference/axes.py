@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.flight.battery import STILL
-from rollout.sim.stations import station_places
+from eia_sec.rollout.sim.kernel.flight.battery import STILL
+from eia_sec.rollout.sim.stations import station_places
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

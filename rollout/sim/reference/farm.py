@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import erfc
 
-from common.config import FarmConfig, RadioConfig, RewardConfig
-from common.team import Float32
-from rollout.sim.batch import packet_key, start_levels, start_positions
-from rollout.sim.failures import failure_steps
-from rollout.sim.kernel.relays import NO_LINK
-from rollout.sim.layout import Layout
-from rollout.sim.reference.airspace import air_velocity, stopped
-from rollout.sim.reference.battery import use_charge
-from rollout.sim.reference.links import joined_to_base, relayed
-from rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
-from rollout.sim.reference.routes import advance, divide_again, first_sweep
-from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
-from rollout.sim.reference.views import observe
-from rollout.sim.reference.ways import ways_of
-from rollout.sim.stress import patches
-from rollout.sim.wind import wind_series
+from eia_sec.common.config import FarmConfig, RadioConfig, RewardConfig
+from eia_sec.common.team import Float32
+from eia_sec.rollout.sim.batch import packet_key, start_levels, start_positions
+from eia_sec.rollout.sim.failures import failure_steps
+from eia_sec.rollout.sim.kernel.relays import NO_LINK
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.reference.airspace import air_velocity, stopped
+from eia_sec.rollout.sim.reference.battery import use_charge
+from eia_sec.rollout.sim.reference.links import joined_to_base, relayed
+from eia_sec.rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
+from eia_sec.rollout.sim.reference.routes import advance, divide_again, first_sweep
+from eia_sec.rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
+from eia_sec.rollout.sim.reference.views import observe
+from eia_sec.rollout.sim.reference.ways import ways_of
+from eia_sec.rollout.sim.stress import patches
+from eia_sec.rollout.sim.wind import wind_series
 
 Array = NDArray[np.float64]
 

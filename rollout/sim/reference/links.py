@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.base_station import base_place
-from rollout.sim.kernel.link import NEGLIGIBLE
+from eia_sec.rollout.sim.base_station import base_place
+from eia_sec.rollout.sim.kernel.link import NEGLIGIBLE
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

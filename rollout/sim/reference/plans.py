@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import EDGE
-from common.config import FarmConfig
-from common.config.farm.polygons import refused
-from common.farm import lattice_of
-from rollout.sim.kernel.link import radio_constants, reach_of
-from rollout.sim.kernel.plans.constants import DISCOUNT, HEARD
-from rollout.sim.kernel.plans.search import NOTHING
-from rollout.sim.kernel.plans.view import LATE, SHARE
-from rollout.sim.kernel.views.constants import PIECES, chance_table
-from rollout.sim.reference.axes import place_of
-from rollout.sim.reference.power import flight_power
-from rollout.sim.reference.stress import growth_of_areas, living
-from rollout.sim.stress import within
+from eia_sec.common.actions.adapters import EDGE
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import refused
+from eia_sec.common.farm import lattice_of
+from eia_sec.rollout.sim.kernel.link import radio_constants, reach_of
+from eia_sec.rollout.sim.kernel.plans.constants import DISCOUNT, HEARD
+from eia_sec.rollout.sim.kernel.plans.search import NOTHING
+from eia_sec.rollout.sim.kernel.plans.view import LATE, SHARE
+from eia_sec.rollout.sim.kernel.views.constants import PIECES, chance_table
+from eia_sec.rollout.sim.reference.axes import place_of
+from eia_sec.rollout.sim.reference.power import flight_power
+from eia_sec.rollout.sim.reference.stress import growth_of_areas, living
+from eia_sec.rollout.sim.stress import within
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

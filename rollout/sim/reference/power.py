@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import EnergyConfig
+from eia_sec.common.config import EnergyConfig
 
 Array = NDArray[np.float64]
 

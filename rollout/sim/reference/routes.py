@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config.farm.polygons import refused
-from common.farm import ROUTE_PLOTS
-from rollout.sim.boxes import ROUNDING, inside
-from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET, STAY
-from rollout.sim.sweep_routes import all_routes, divided_among
+from eia_sec.common.config.farm.polygons import refused
+from eia_sec.common.farm import ROUTE_PLOTS
+from eia_sec.rollout.sim.boxes import ROUNDING, inside
+from eia_sec.rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET, STAY
+from eia_sec.rollout.sim.sweep_routes import all_routes, divided_among
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config.farm.polygons import inside
-from rollout.sim.stress import within
+from eia_sec.common.config.farm.polygons import inside
+from eia_sec.rollout.sim.stress import within
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

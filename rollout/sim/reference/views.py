@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.farm import farm_team
-from common.team import Float32
-from rollout.sim.reference.added import added_view
-from rollout.sim.reference.axes import place_of, plot_of, signs_of
+from eia_sec.common.farm import farm_team
+from eia_sec.common.team import Float32
+from eia_sec.rollout.sim.reference.added import added_view
+from eia_sec.rollout.sim.reference.axes import place_of, plot_of, signs_of
 
 if TYPE_CHECKING:
-    from rollout.sim.reference.farm import ReferenceFarm
+    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

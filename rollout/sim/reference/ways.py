@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from common.config import FarmConfig
-from common.config.farm.polygons import refused
-from common.farm import COLLECTION, MONITORING, inset_of, lattice_of
-from rollout.sim.boxes import inside
-from rollout.sim.sweep_routes import plot_boxes
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import refused
+from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
+from eia_sec.rollout.sim.boxes import inside
+from eia_sec.rollout.sim.sweep_routes import plot_boxes
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actions.adapters import (
+from eia_sec.common.actions.adapters import (
     GAIN,
     SIGNS,
     Lattice,
     MirroredAxes,
     fewest,
 )
-from common.actions.descriptions import adapter_from_dict, adapter_to_dict
-from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SchemaError
-from common.farm import farm_team, lattice_of
-from common.team import GroupSpec, TeamSpec
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actions.descriptions import adapter_from_dict, adapter_to_dict
+from eia_sec.common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SchemaError
+from eia_sec.common.farm import farm_team, lattice_of
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.sim.batch import FarmBatch
 
 FIELD = 400.0
 PLAIN = preset("eia-sec").farm

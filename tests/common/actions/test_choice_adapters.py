@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.adapters import Headings, MirroredAxes, NineMoves
-from common.actions.descriptions import adapter_from_dict, adapter_to_dict
-from common.actors import TeamActors
-from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SchemaError
-from common.farm import HEADING_SPEEDS, farm_environment, farm_team
-from common.team import GroupSpec, TeamSpec
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import make_layout
+from eia_sec.common.actions.adapters import Headings, MirroredAxes, NineMoves
+from eia_sec.common.actions.descriptions import adapter_from_dict, adapter_to_dict
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SchemaError
+from eia_sec.common.farm import HEADING_SPEEDS, farm_environment, farm_team
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.sim.properties.strategies import placed
 
 HEADINGS = Headings(*HEADING_SPEEDS, 0.025)

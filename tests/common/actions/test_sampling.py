@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.sampling import best_options, sample_options, sample_squashed
-from common.actors import TeamActors
-from common.errors import ConfigError, SchemaError
-from common.team import GroupSpec, TeamSpec
+from eia_sec.common.actions.sampling import best_options, sample_options, sample_squashed
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.errors import ConfigError, SchemaError
+from eia_sec.common.team import GroupSpec, TeamSpec
 
 PLAIN = GroupSpec("a", 2, 3, 2, choices=(3, 4))
 MASKED = GroupSpec("a", 2, 10, 2, choices=(3, 4), masked=True)

@@ -6,16 +6,16 @@ import hashlib
 
 import pytest
 
-from common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
-from common.config.ablations import ABLATIONS
-from common.config.algorithms import OPTIONAL_SECTIONS, switched
-from common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting, with_values
-from common.config.presets import PRESETS, preset
-from common.errors import ConfigError
-from deploy.cli import dispatch
-from deploy.commands.training.train import TrainArguments
-from deploy.exit_codes import run_command
-from deploy.options import base_configuration, parse
+from eia_sec.common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
+from eia_sec.common.config.ablations import ABLATIONS
+from eia_sec.common.config.algorithms import OPTIONAL_SECTIONS, switched
+from eia_sec.common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting, with_values
+from eia_sec.common.config.presets import PRESETS, preset
+from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.commands.training.train import TrainArguments
+from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.options import base_configuration, parse
 
 
 @pytest.mark.parametrize("name", ALGORITHM_CONFIGS)

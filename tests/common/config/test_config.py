@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from common.config import (
+from eia_sec.common.config import (
     ALGORITHM_CONFIGS,
     CameraConfig,
     EiaSecConfig,
@@ -23,8 +23,8 @@ from common.config import (
     RunConfig,
     WorldConfig,
 )
-from common.errors import ConfigError
-from docs.tools.configuration_tables import field_docs, sections
+from eia_sec.common.errors import ConfigError
+from research.pages.configuration_tables import field_docs, sections
 
 OTHERS = [kind() for kind in ALGORITHM_CONFIGS.values() if kind is not EiaSecConfig]
 FOUND = [*(section for _, section in sections(RunConfig())), *OTHERS]

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import EiaSecConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
-from common.config.farm.sites import MAX_SENSORS
-from common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting
-from common.config.presets import PRESETS
-from common.errors import ConfigError
-from common.protocol.frame import MAX_HEADER
-from common.protocol.messages import ConfigurationMessage
+from eia_sec.common.config import EiaSecConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
+from eia_sec.common.config.farm.sites import MAX_SENSORS
+from eia_sec.common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting
+from eia_sec.common.config.presets import PRESETS
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.protocol.frame import MAX_HEADER
+from eia_sec.common.protocol.messages import ConfigurationMessage
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from common.config import RunConfig
-from common.config.files import differences, digest, flatten, to_toml, with_values
-from common.config.presets import PRESETS, preset, read_saved
-from common.errors import ConfigError
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import differences, digest, flatten, to_toml, with_values
+from eia_sec.common.config.presets import PRESETS, preset, read_saved
+from eia_sec.common.errors import ConfigError
 
 PRINTED = {
     # Table 1, environmental parameters

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.protocol import bfloat16
+from eia_sec.common.protocol import bfloat16
 
 ANY = st.lists(st.floats(width=32), max_size=20)
 """Any float32 numbers: subnormal ones, infinities and NaN too."""

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.errors import SchemaError
-from common.protocol.bfloat16 import to_bits
-from common.protocol.chunk_messages import from_message, to_message
-from common.protocol.messages import ChunkMessage
-from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol.bfloat16 import to_bits
+from eia_sec.common.protocol.chunk_messages import from_message, to_message
+from eia_sec.common.protocol.messages import ChunkMessage
+from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from tests.faults.tools.channel import TEAM
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typing_extensions import TypeAliasType
 
-from common.errors import SchemaError
-from common.protocol.codec import Message
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol.codec import Message
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 AnyShape = TypeAliasType("AnyShape", tuple[Any, ...])

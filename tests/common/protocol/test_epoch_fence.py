@@ -1,6 +1,6 @@
 """A lower epoch is followed when nothing else speaks, and never before."""
 
-from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
+from eia_sec.common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
 
 
 class Clock:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.errors import FrameError, ProtocolError, SchemaError, VersionError
-from common.protocol import frame
+from eia_sec.common.errors import FrameError, ProtocolError, SchemaError, VersionError
+from eia_sec.common.protocol import frame
 
 FIELDS = {"a": 1, "b": [1.5, "x"]}
 ARRAYS = {"x": np.arange(12, dtype=np.float32).reshape(3, 4), "y": np.zeros((0, 5), np.int64), "z": np.uint8([1, 2])}

@@ -5,12 +5,12 @@ from typing import cast
 
 import pytest
 
-from common.errors import ConfigError, KeyExpressionError
-from common.protocol import codec, keys, messages
-from common.protocol.codec import Message
-from common.protocol.messages import ConfigurationMessage
-from common.transport.bus import Server
-from learner.control.command_server import CommandServer
+from eia_sec.common.errors import ConfigError, KeyExpressionError
+from eia_sec.common.protocol import codec, keys, messages
+from eia_sec.common.protocol.codec import Message
+from eia_sec.common.protocol.messages import ConfigurationMessage
+from eia_sec.common.transport.bus import Server
+from eia_sec.learner.control.command_server import CommandServer
 
 VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain", "vehicle": "uav-7"}
 

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config import EiaSecConfig, EliteConfig, IppoConfig, ReplayConfig, RolloutConfig
-from common.config.presets import preset
-from common.environment import EnvironmentSpec
-from common.errors import ConfigError
-from common.farm import METRIC_NAMES, farm_environment
-from common.protocol.chunk_messages import to_message
-from common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
-from common.protocol.messages import EvaluationResult, ParametersMessage
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from rollout.envs.registry import environment_spec
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EiaSecConfig, EliteConfig, IppoConfig, ReplayConfig, RolloutConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import METRIC_NAMES, farm_environment
+from eia_sec.common.protocol.chunk_messages import to_message
+from eia_sec.common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
+from eia_sec.common.protocol.messages import EvaluationResult, ParametersMessage
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.rollout.envs.registry import environment_spec
 
 BASE = preset("eia-sec")
 FARM = farm_environment(BASE.farm)

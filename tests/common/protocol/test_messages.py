@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.errors import FrameError, SchemaError
-from common.protocol import frame, messages
-from common.protocol.codec import Message
-from common.protocol.messages import (
+from eia_sec.common.errors import FrameError, SchemaError
+from eia_sec.common.protocol import frame, messages
+from eia_sec.common.protocol.codec import Message
+from eia_sec.common.protocol.messages import (
     ChunkAck,
     ChunkMessage,
     DeliveryMessage,

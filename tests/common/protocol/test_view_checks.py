@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.errors import SchemaError
-from common.protocol.messages import ViewMessage
-from common.protocol.view_checks import FRAMES, check_view
-from rollout.sim.batch import REWARD_PARTS
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.protocol.messages import ViewMessage
+from eia_sec.common.protocol.view_checks import FRAMES, check_view
+from eia_sec.rollout.sim.batch import REWARD_PARTS
 from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG
 
 WORLD = CONFIG.farm.world

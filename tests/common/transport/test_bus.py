@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from common.errors import BusClosedError, BusError, CancelledError, EndpointError
-from common.transport.bus import Bus, Incoming, Sample, Server, Subscription
-from common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError
+from eia_sec.common.transport.bus import Bus, Incoming, Sample, Server, Subscription
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 
 SECONDS = 10.0
 

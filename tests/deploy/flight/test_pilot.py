@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.actions.adapters import SIGNS
-from common.actors import TeamActors
-from common.config import ControlConfig, FarmConfig, ObservationConfig
-from common.config.presets import preset
-from common.errors import ConfigError
-from common.farm import farm_team
-from common.protocol import frame
-from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from common.protocol.metrics import undeclared
-from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
+from eia_sec.common.actions.adapters import SIGNS
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import ControlConfig, FarmConfig, ObservationConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol import frame
+from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
+from eia_sec.common.protocol.metrics import undeclared
+from eia_sec.deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(preset("study").farm)
 ACTORS = TeamActors.initial(TEAM, 16, 7, per_type=False)

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config.presets import preset
-from common.farm import farm_team
-from common.protocol.messages import Envelope, ObservationMessage
-from deploy.flight.pilot import Limits, Pilot
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol.messages import Envelope, ObservationMessage
+from eia_sec.deploy.flight.pilot import Limits, Pilot
 
 TEAM = farm_team(preset("study").farm)
 ACTORS = TeamActors.initial(TEAM, 16, 7, per_type=False, memory="gru")

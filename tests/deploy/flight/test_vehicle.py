@@ -5,12 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from common.protocol import keys
-from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from deploy.flight import vehicle
-from deploy.flight.vehicle import VehicleLink
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.flight import vehicle
+from eia_sec.deploy.flight.vehicle import VehicleLink
 
 
 @pytest.fixture

@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from common.config.presets import PRESETS, SAVED
-from common.errors import ConfigError, CredentialsError
-from common.transport import credentials
-from deploy.commands.training.learner import LearnerArguments
-from deploy.commands.training.train import TrainArguments
-from deploy.hosts import operations
-from deploy.hosts.fleet_file import Containers, Coordinator, Host, LearnerSpec, Network, Router, Training, read
-from deploy.hosts.plan import here, processes
-from deploy.hosts.render import render
-from docs.tools.configuration_tables import field_docs
+from eia_sec.common.config.presets import PRESETS, SAVED
+from eia_sec.common.errors import ConfigError, CredentialsError
+from eia_sec.common.transport import credentials
+from eia_sec.deploy.commands.training.learner import LearnerArguments
+from eia_sec.deploy.commands.training.train import TrainArguments
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.fleet_file import Containers, Coordinator, Host, LearnerSpec, Network, Router, Training, read
+from eia_sec.deploy.hosts.plan import here, processes
+from eia_sec.deploy.hosts.render import render
+from research.pages.configuration_tables import field_docs
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "deploy" / "fleet.toml"

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from common.errors import ConfigError, HostError, UsageError
-from deploy.cli import dispatch
-from deploy.hosts import history_collection, operations, remote
-from deploy.hosts.fleet_file import FleetSpec, Host, LearnerSpec, read
-from deploy.hosts.history_collection import own_names, pack, unpack
-from deploy.hosts.remote import Link
+from eia_sec.common.errors import ConfigError, HostError, UsageError
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.hosts import history_collection, operations, remote
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, Host, LearnerSpec, read
+from eia_sec.deploy.hosts.history_collection import own_names, pack, unpack
+from eia_sec.deploy.hosts.remote import Link
 
 FLEET = FleetSpec(learner=LearnerSpec("one"), hosts={"one": Host(), "one-1": Host()})
 

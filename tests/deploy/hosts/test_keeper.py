@@ -10,10 +10,10 @@ import time
 
 import pytest
 
-from common.errors import HostError
-from deploy.hosts import agent, keeper
-from deploy.hosts.keeper import PLAN, STATE, Keeper, new_plan, write_json
-from deploy.local import supervisor
+from eia_sec.common.errors import HostError
+from eia_sec.deploy.hosts import agent, keeper
+from eia_sec.deploy.hosts.keeper import PLAN, STATE, Keeper, new_plan, write_json
+from eia_sec.deploy.local import supervisor
 from tests.system.fleet import until
 
 

@@ -15,18 +15,18 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from common.config import RunConfig
-from common.config.files import from_toml
-from common.errors import ConfigError
-from common.transport import credentials
-from deploy.commands.fleet.fleet import command as fleet_command
-from deploy.commands.training import elite, learner, rollout, router
-from deploy.hosts import operations
-from deploy.hosts.containers import as_yaml
-from deploy.hosts.fleet_file import FleetSpec, read
-from deploy.hosts.render import render
-from deploy.hosts.systemd import _word
-from deploy.options import parse
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import from_toml
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.transport import credentials
+from eia_sec.deploy.commands.fleet.fleet import command as fleet_command
+from eia_sec.deploy.commands.training import elite, learner, rollout, router
+from eia_sec.deploy.hosts import operations
+from eia_sec.deploy.hosts.containers import as_yaml
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
+from eia_sec.deploy.hosts.render import render
+from eia_sec.deploy.hosts.systemd import _word
+from eia_sec.deploy.options import parse
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = json.loads((Path(__file__).parent / "schemas" / "compose-spec.json").read_text())

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from common.errors import EiaSecError
-from deploy.hosts import agent, keeper
+from eia_sec.common.errors import EiaSecError
+from eia_sec.deploy.hosts import agent, keeper
 from tests.system.fleet import until
 
 SYSTEMD_RUN = """#!{python}

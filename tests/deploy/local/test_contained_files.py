@@ -2,8 +2,8 @@
 
 import pytest
 
-from common.errors import UsageError
-from deploy.local.contained_files import write, writing
+from eia_sec.common.errors import UsageError
+from eia_sec.deploy.local.contained_files import write, writing
 
 
 @pytest.mark.parametrize("name", ["../outside", "/outside", "a/../../outside", "", ".", "a\x1b[2J", "a\0b"])

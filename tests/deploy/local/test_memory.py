@@ -7,7 +7,7 @@ import pytest
 
 FAULTS = """
 import resource, sys
-from deploy.local.memory import keep_freed_memory
+from eia_sec.deploy.local.memory import keep_freed_memory
 if sys.argv[1] == "keep" and not keep_freed_memory():
     sys.exit(3)
 def messages():

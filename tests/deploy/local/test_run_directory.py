@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from common.config import RunConfig
-from common.config.files import to_toml
-from common.errors import RunDirError, UsageError
-from deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import RunDirError, UsageError
+from eia_sec.deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory
 
 
 def hold(path: Path, line: Connection) -> None:

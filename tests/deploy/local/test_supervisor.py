@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from deploy.local import supervisor
-from deploy.local.supervisor import Supervisor
+from eia_sec.deploy.local import supervisor
+from eia_sec.deploy.local.supervisor import Supervisor
 
 PAUSES = (0.05, 0.1, 0.15)
 FAILING = ("alive", "learner", "learner", "--connect", "tcp/127.0.0.1:1", "--patience", "0.1")

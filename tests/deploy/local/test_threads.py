@@ -1,6 +1,6 @@
 """How many cores there are, and how many compute threads a process has."""
 
-from deploy.local import threads
+from eia_sec.deploy.local import threads
 
 
 def test_only_cores_that_may_be_used_count(monkeypatch):

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from common.errors import RunDirError
-from common.history.history import End, Entry, History, Resume, Start
-from deploy.cli import dispatch
-from deploy.monitor.audit import NAMED, audit
+from eia_sec.common.errors import RunDirError
+from eia_sec.common.history.history import End, Entry, History, Resume, Start
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.monitor.audit import NAMED, audit
 
 
 def write(tmp_path, learner, worker=None, *, ended=False):
@@ -162,11 +162,11 @@ def test_a_torn_last_line_is_no_defect(tmp_path):
 
 def test_more_lines_than_memory_holds_are_refused(tmp_path, monkeypatch):
     """Histories of all processes together may hold so many lines, however many chunks these are about."""
-    monkeypatch.setattr("deploy.monitor.audit.MOST_LINES", 4)
+    monkeypatch.setattr("eia_sec.deploy.monitor.audit.MOST_LINES", 4)
     learner = [("accepted", 1, 10, 10), ("duplicate", 1, 1000, 5)]
     with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories hold 5 lines, more than 4"):
         write(tmp_path, learner, [made(10)])
-    monkeypatch.setattr("deploy.monitor.audit.MOST_LINES", 5)
+    monkeypatch.setattr("eia_sec.deploy.monitor.audit.MOST_LINES", 5)
     assert audit(tmp_path).held == 5
 
 

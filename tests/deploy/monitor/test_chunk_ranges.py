@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
+from eia_sec.deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
 
 def filled(seed, most=60):

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from deploy.monitor.alarms import BEHIND_VERSIONS, examine
-from deploy.monitor.live_view import MOST_ALARMS, render, summary
-from deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Series, Snapshot, record
-from deploy.monitor.sparkline import bars, buckets
-from deploy.monitor.tables import ProcessTable, duration, short
+from eia_sec.deploy.monitor.alarms import BEHIND_VERSIONS, examine
+from eia_sec.deploy.monitor.live_view import MOST_ALARMS, render, summary
+from eia_sec.deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Series, Snapshot, record
+from eia_sec.deploy.monitor.sparkline import bars, buckets
+from eia_sec.deploy.monitor.tables import ProcessTable, duration, short
 
 
 def worker(index: int, **changes) -> ProcessRow:

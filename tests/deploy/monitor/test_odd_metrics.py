@@ -8,18 +8,17 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-import deploy.monitor.run_monitor
-from common.errors import SchemaError
-from common.process import Presence
-from common.protocol.messages import Envelope, MetricMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from deploy.commands.monitoring.monitor import record
-from deploy.monitor import live_view, process_report
-from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import RunMonitor
-from deploy.monitor.sanitised import MOST_PARTS, metrics, plain
-from deploy.monitor.snapshot import Series
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.process import Presence
+from eia_sec.common.protocol.messages import Envelope, MetricMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.commands.monitoring.monitor import record
+from eia_sec.deploy.monitor import live_view, process_report, run_monitor
+from eia_sec.deploy.monitor.live_view import render, summary
+from eia_sec.deploy.monitor.run_monitor import RunMonitor
+from eia_sec.deploy.monitor.sanitised import MOST_PARTS, metrics, plain
+from eia_sec.deploy.monitor.snapshot import Series
 
 SOUND = {
     "state": "training",
@@ -43,7 +42,7 @@ def report(monitor, role, values, name="x", counter=1):
     try:
         message = MetricMessage(counter, "host", 1, float(counter), values)
         monitor._take((role, name), Envelope(role, name, 1, counter, 1), message, time.monotonic())
-    except deploy.monitor.run_monitor.UNREADABLE:
+    except run_monitor.UNREADABLE:
         return False
     return True
 
@@ -132,8 +131,8 @@ def test_odd_metrics_of_the_learner_end_no_view(monitor, odd):
 
 def test_rows_and_curves_are_bounded(monitor, monkeypatch):
     """Names without end take no memory without end: further ones are turned away, and there is room for the learner."""
-    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
-    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_CURVES", 2)
+    monkeypatch.setattr(run_monitor, "MOST_ROWS", 3)
+    monkeypatch.setattr(run_monitor, "MOST_CURVES", 2)
     assert [report(monitor, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
     assert not report(monitor, "learner", SOUND, "other")
     assert report(monitor, "learner", SOUND, "learner")
@@ -147,7 +146,7 @@ def test_rows_and_curves_are_bounded(monitor, monkeypatch):
 
 def test_rows_that_only_the_learner_knows_are_bounded(monitor, monkeypatch):
     """However many workers a ledger names, a view has MOST_ROWS rows and says how many are missing."""
-    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
+    monkeypatch.setattr(run_monitor, "MOST_ROWS", 3)
     report(monitor, "learner", {**SOUND, "ledgers": {f"w{index}": {} for index in range(9)}}, "learner")
     snapshot = monitor.snapshot()
     assert len(snapshot.processes) == 3
@@ -156,7 +155,7 @@ def test_rows_that_only_the_learner_knows_are_bounded(monitor, monkeypatch):
 
 def test_processes_without_end_are_counted(monkeypatch):
     """Tokens and metrics of ever new names over the bus leave MOST_ROWS rows and a count of what was dropped."""
-    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 8)
+    monkeypatch.setattr(run_monitor, "MOST_ROWS", 8)
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control") as stranger:
         monitor = RunMonitor(bus, "r")
@@ -176,7 +175,7 @@ def test_processes_without_end_are_counted(monkeypatch):
         assert len(monitor.snapshot().processes) == 8
         kept = [len(json.dumps(held.values)) for held in monitor._reports.values()]
         assert max(kept) < 8000
-        assert len(monitor.snapshot().alarms) <= deploy.monitor.run_monitor.MOST_ALARMS + 8
+        assert len(monitor.snapshot().alarms) <= run_monitor.MOST_ALARMS + 8
 
 
 def test_a_process_without_a_token_goes_when_it_has_long_been_silent(monitor, monkeypatch):
@@ -184,7 +183,7 @@ def test_a_process_without_a_token_goes_when_it_has_long_been_silent(monitor, mo
     report(monitor, "rollout", {})
     monitor.update()
     assert len(monitor.snapshot().processes) == 1
-    monkeypatch.setattr(deploy.monitor.run_monitor, "GONE_SECONDS", 0.0)
+    monkeypatch.setattr(run_monitor, "GONE_SECONDS", 0.0)
     monitor.update()
     assert monitor.snapshot().processes == ()
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from common.process import Presence
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from deploy.monitor.run_monitor import RunMonitor
+from eia_sec.common.process import Presence
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from tests.system.fleet import until
 
 

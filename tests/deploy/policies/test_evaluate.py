@@ -2,17 +2,17 @@ import json
 
 import pytest
 
-from common.actors import TeamActors
-from common.config.files import from_toml, to_toml, with_setting
-from common.config.presets import PRESETS, SAVED
-from common.errors import ConfigError, PolicyError, RunDirError, UsageError
-from common.farm import farm_team
-from common.policy_file import save_policy
-from deploy.commands.policies.evaluate import EvaluateArguments, command, parse_farms, run
-from deploy.commands.policies.fly import farm_of
-from deploy.local.run_directory import RunDirectory
-from deploy.options import base_configuration
-from deploy.policies.replay import Comparison, scenes_of
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.files import from_toml, to_toml, with_setting
+from eia_sec.common.config.presets import PRESETS, SAVED
+from eia_sec.common.errors import ConfigError, PolicyError, RunDirError, UsageError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import save_policy
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, command, parse_farms, run
+from eia_sec.deploy.commands.policies.fly import farm_of
+from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.options import base_configuration
+from eia_sec.deploy.policies.replay import Comparison, scenes_of
 
 SMALL = (
     "farm.world.steps=20",

@@ -11,23 +11,31 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.actions.adapters import SIGNS, MirroredAxes
-from common.actions.descriptions import ADAPTERS
-from common.actions.sampling import best_options
-from common.actors import TeamActors
-from common.config import ControlConfig, EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
-from common.config.files import to_toml
-from common.config.presets import preset
-from common.farm import farm_team
-from common.policy_file import save_policy
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TRANSITION, Chunk, Rows
-from deploy.cli import dispatch
-from deploy.exit_codes import run_command
-from deploy.policies.export import agent_names, tensor_names
-from deploy.policies.onnx_actions import NODES
-from learner.off_policy_trainer import OffPolicyTrainer
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actions.adapters import SIGNS, MirroredAxes
+from eia_sec.common.actions.descriptions import ADAPTERS
+from eia_sec.common.actions.sampling import best_options
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import (
+    ControlConfig,
+    EnvConfig,
+    FarmConfig,
+    MasacConfig,
+    ObservationConfig,
+    ReplayConfig,
+    RunConfig,
+)
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import save_policy
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TRANSITION, Chunk, Rows
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.policies.export import agent_names, tensor_names
+from eia_sec.deploy.policies.onnx_actions import NODES
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.rollout.sim.batch import FarmBatch
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from common.actions.adapters import SIGNS, Headings, Lattice, MirroredAxes, NineMoves
-from common.actors import TeamActors
-from common.config import EnvConfig, RunConfig
-from common.team import GroupSpec, TeamSpec
-from deploy.policies.export import IR_VERSION, OPSET, export_onnx
-from deploy.policies.onnx_actions import LAST, action_nodes
+from eia_sec.common.actions.adapters import SIGNS, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EnvConfig, RunConfig
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.deploy.policies.export import IR_VERSION, OPSET, export_onnx
+from eia_sec.deploy.policies.onnx_actions import LAST, action_nodes
 
 HEADINGS = Headings(0.041, 0.12, 0.35, 0.9, 0.025)
 LATTICE = Lattice(40, 37, 0.025, 0.0271)

@@ -9,16 +9,16 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.actions.sampling import best_options
-from common.actors import TeamActors
-from common.config import EnvConfig
-from common.config.files import to_toml
-from common.config.presets import preset
-from common.farm import farm_team
-from common.policy_file import save_policy
-from common.team import GroupSpec, TeamSpec
-from deploy.cli import dispatch
-from deploy.policies.export import agent_names
+from eia_sec.common.actions.sampling import best_options
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EnvConfig
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import save_policy
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.policies.export import agent_names
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 HIDDEN, STEPS = 12, 8

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from common.config.files import to_toml
-from common.errors import EiaSecError, UsageError
-from common.policy_file import save_policy
-from deploy.cli import dispatch
-from deploy.commands.policies import replay as command
-from deploy.exit_codes import run_command
-from deploy.local.run_directory import POLICY, RunDirectory
-from deploy.policies.replay import Comparison, paper_pictures, scenes_of
-from deploy.reports import film
-from deploy.reports.film import Film, find_ffmpeg
-from rollout.evaluation import evaluate
-from rollout.policies import policy_of
-from rollout.rendering.side_by_side import SideBySidePicture
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.errors import EiaSecError, UsageError
+from eia_sec.common.policy_file import save_policy
+from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.commands.policies import replay as command
+from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.policies.replay import Comparison, paper_pictures, scenes_of
+from eia_sec.deploy.reports import film
+from eia_sec.deploy.reports.film import Film, find_ffmpeg
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.rendering.side_by_side import SideBySidePicture
 from tests.deploy.monitor.web.stage import CONFIG, some_actors
 
 WORLD = CONFIG.farm.world

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from common.config import BatteryConfig, FarmConfig, StressConfig, WorldConfig, ZoneConfig
-from common.environment import EnvironmentSpec
-from common.farm import EPISODE_METRICS, METRIC_NAMES, farm_environment
-from common.team import GroupSpec, TeamSpec
-from common.transitions import EpisodeSummary
-from deploy.reports.comparison_tables import comparison_markdown, comparison_table
-from deploy.reports.plots import (
+from eia_sec.common.config import BatteryConfig, FarmConfig, StressConfig, WorldConfig, ZoneConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.farm import EPISODE_METRICS, METRIC_NAMES, farm_environment
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.deploy.reports.comparison_tables import comparison_markdown, comparison_table
+from eia_sec.deploy.reports.plots import (
     COLOURS,
     comparison_figure,
     curves,
@@ -21,8 +21,8 @@ from deploy.reports.plots import (
     trajectories,
     trajectories_figure,
 )
-from rollout.evaluation import Evaluation, Score, Trajectory
-from rollout.sim.stations import station_places
+from eia_sec.rollout.evaluation import Evaluation, Score, Trajectory
+from eia_sec.rollout.sim.stations import station_places
 
 COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
 TYPES = ("communication", "monitoring", "collection")

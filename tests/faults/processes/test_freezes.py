@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from deploy.monitor.audit import audit
+from eia_sec.deploy.monitor.audit import audit
 from tests.faults.tools.harness import BEHIND, LONG, Routed, memory, record_result, run
 from tests.system.fleet import until
 

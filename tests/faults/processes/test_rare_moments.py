@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.monitor.audit import audit
+from eia_sec.deploy.monitor.audit import audit
 from tests.faults.tools.dying_learner import AFTER
 from tests.faults.tools.harness import Routed, run
 from tests.faults.tools.network import Relay

@@ -4,10 +4,10 @@ import signal
 import time
 from pathlib import Path
 
-from common.history.history import End, Entry, Start, read
-from common.protocol import keys
-from common.protocol.messages import Envelope
-from common.transport.bus import Bus
+from eia_sec.common.history.history import End, Entry, Start, read
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.transport.bus import Bus
 from tests.faults.tools.harness import FaultRun, run
 from tests.faults.tools.shifted_clock import AHEAD
 from tests.system.fleet import RUN, until

@@ -11,8 +11,8 @@ from typing import Any
 import psutil
 import pytest
 
-from deploy.monitor.audit import audit
-from learner.checkpoint import files
+from eia_sec.deploy.monitor.audit import audit
+from eia_sec.learner.checkpoint import files
 from tests.faults.tools.harness import LONG, record_result, spread
 from tests.system.fleet import PRESET, until
 
@@ -24,7 +24,7 @@ def stop_training(directory: Path, number: int, running: bool) -> float:
     command = [
         sys.executable,
         "-m",
-        "deploy.cli",
+        "eia_sec.deploy.cli",
         "train",
         "--preset",
         PRESET,

@@ -7,8 +7,8 @@ import os
 import signal
 import sys
 
-from deploy.cli import main as command
-from learner.intake.receiver import Receiver
+from eia_sec.deploy.cli import main as command
+from eia_sec.learner.intake.receiver import Receiver
 
 AFTER = "EIA_SEC_DIES_AFTER"
 

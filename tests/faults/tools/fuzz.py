@@ -10,10 +10,10 @@ atheris = importlib.import_module("atheris")  # an extra; the rest of tests/faul
 
 with atheris.instrument_imports(include=["common", "msgpack"]):
     for module in (
-        "common.protocol.frame",
-        "common.protocol.messages",
-        "common.protocol.chunk_messages",
-        "common.policy_store",
+        "eia_sec.common.protocol.frame",
+        "eia_sec.common.protocol.messages",
+        "eia_sec.common.protocol.chunk_messages",
+        "eia_sec.common.policy_store",
     ):
         importlib.import_module(module)
 mutants = importlib.import_module("tests.faults.tools.mutants")

@@ -13,10 +13,10 @@ from typing import Any
 
 import psutil
 
-from common.protocol import keys
-from common.protocol.messages import MetricMessage
-from common.transport.bus import Bus
-from deploy.monitor.audit import Audit, audit
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import MetricMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.deploy.monitor.audit import Audit, audit
 from tests.system.fleet import RUN, TINY, Processes, until
 
 RESULTS_FOLDER = "EIA_SEC_RESULTS"

@@ -9,15 +9,15 @@ from typing import Final
 
 import numpy as np
 
-from common.actors import TeamActors
-from common.errors import ProtocolError
-from common.farm import METRIC_NAMES
-from common.policy_store import PolicyStore
-from common.protocol import codec, frame, messages
-from common.protocol.bfloat16 import to_bits
-from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
-from common.protocol.view_checks import check_view
-from rollout.sim.batch import REWARD_PARTS
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.errors import ProtocolError
+from eia_sec.common.farm import METRIC_NAMES
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.protocol import codec, frame, messages
+from eia_sec.common.protocol.bfloat16 import to_bits
+from eia_sec.common.protocol.chunk_messages import from_message, from_request, to_message, to_request
+from eia_sec.common.protocol.view_checks import check_view
+from eia_sec.rollout.sim.batch import REWARD_PARTS
 from tests.common.protocol.test_view_checks import CONDITIONS, CONFIG, a_view, a_view_of_conditions
 from tests.faults.tools.channel import TEAM, a_chunk, with_log_probabilities
 

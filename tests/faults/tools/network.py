@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from common.transport.endpoint import Endpoint
+from eia_sec.common.transport.endpoint import Endpoint
 
 LEARNER, WORKER = "10.77.0.1", "10.77.0.2"
 

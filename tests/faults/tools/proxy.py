@@ -6,11 +6,11 @@ from collections import Counter
 from types import TracebackType
 from typing import Self
 
-from common.errors import BusError
-from common.protocol import keys
-from common.protocol.messages import ChunkAck
-from common.transport.bus import Bus, Incoming
-from common.transport.endpoint import Endpoint
+from eia_sec.common.errors import BusError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import ChunkAck
+from eia_sec.common.transport.bus import Bus, Incoming
+from eia_sec.common.transport.endpoint import Endpoint
 from tests.faults.tools.channel import Parcel, Road, damage
 from tests.faults.tools.network import Relay
 from tests.system.fleet import RUN

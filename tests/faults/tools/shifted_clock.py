@@ -14,7 +14,7 @@ def main() -> None:
     """Shift the time of day, then run the command."""
     nanoseconds, right = int(float(os.environ[AHEAD]) * 1e9), time.time_ns
     time.time_ns = lambda: right() + nanoseconds
-    from deploy.cli import main as command  # noqa: PLC0415  # after the shift, so that nothing has the right clock
+    from eia_sec.deploy.cli import main as command  # noqa: PLC0415  # after the shift, so that nothing has the right clock
 
     sys.exit(command())
 

@@ -9,8 +9,8 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from common.config import AlgorithmConfig
-from common.team import TeamSpec
+from eia_sec.common.config import AlgorithmConfig
+from eia_sec.common.team import TeamSpec
 
 
 class Network(nn.Module):

@@ -8,17 +8,24 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import ALGORITHM_CONFIGS, EiaSecConfig, EliteConfig, OffPolicyConfig, OnPolicyConfig, RunConfig
-from common.config.algorithms import switched
-from common.imitation import ImitationSchedule
-from common.team import GroupSpec, TeamSpec
-from deploy.commands.training.train import TrainArguments
-from deploy.options import base_configuration, parse
-from learner.algorithms import ALGORITHMS
-from learner.algorithms.base import Algorithm
-from learner.checkpoint.trainer_state import random_state, restored_random
-from learner.engine import Engine
-from learner.on_policy.values import make_values
+from eia_sec.common.config import (
+    ALGORITHM_CONFIGS,
+    EiaSecConfig,
+    EliteConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    RunConfig,
+)
+from eia_sec.common.config.algorithms import switched
+from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.deploy.commands.training.train import TrainArguments
+from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.algorithms.base import Algorithm
+from eia_sec.learner.checkpoint.trainer_state import random_state, restored_random
+from eia_sec.learner.engine import Engine
+from eia_sec.learner.on_policy.values import make_values
 from tests.learner.algorithms.test_engine import TEAM, batches, same_state
 from tests.learner.algorithms.variants import variant
 

@@ -7,14 +7,14 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from common.config import ReplayConfig
-from common.config.presets import preset
-from common.seeds import stream
-from common.transitions import TERMINATED, TRANSITION, Chunk, Rows
-from learner.algorithms import ALGORITHMS
-from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics
-from learner.engine import NOISE, Engine
-from learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.common.config import ReplayConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.seeds import stream
+from eia_sec.common.transitions import TERMINATED, TRANSITION, Chunk, Rows
+from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.diagnostics import RETURN_PERIOD, RunningDiagnostics
+from eia_sec.learner.engine import NOISE, Engine
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
 from tests.learner.algorithms.test_engine import BASE, SWITCHES, TEAM, actor_stacks, batches, twins
 from tests.learner.algorithms.test_peers import ORACLES, critics_of
 from tests.learner.algorithms.variants import variant

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors
-from common.config import EiaSecConfig
-from common.team import GroupSpec, TeamSpec
-from learner.engine import Batch, Engine
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EiaSecConfig
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.learner.engine import Batch, Engine
 from tests.learner.algorithms.oracle import Oracle
 
 TEAM = TeamSpec((GroupSpec("c", 2, 5, 2), GroupSpec("m", 3, 4, 2), GroupSpec("d", 4, 7, 2)))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors
-from common.config import EiaSecConfig
-from common.seeds import stream
-from learner.engine import NOISE, Engine
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EiaSecConfig
+from eia_sec.common.seeds import stream
+from eia_sec.learner.engine import NOISE, Engine
 from tests.learner.algorithms.peers import MaddpgOracle, MasacOracle, Matd3Oracle
 from tests.learner.algorithms.test_engine import TEAM, UNEVEN, actor_stacks, batches, same_state
 from tests.learner.algorithms.variants import variant

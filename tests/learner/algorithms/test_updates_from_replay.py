@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
-from learner.data.replay import Replay
-from learner.engine import Batch
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+from eia_sec.learner.data.replay import Replay
+from eia_sec.learner.engine import Batch
 from tests.learner.algorithms.test_engine import BASE, TEAM, differences, twins
 
 STEPS = 3

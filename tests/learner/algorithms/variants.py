@@ -2,8 +2,8 @@
 
 from dataclasses import fields, replace
 
-from common.config import AlgorithmConfig
-from common.config.algorithms import switched
+from eia_sec.common.config import AlgorithmConfig
+from eia_sec.common.config.algorithms import switched
 
 
 def variant(base: AlgorithmConfig, name: str, **options) -> AlgorithmConfig:

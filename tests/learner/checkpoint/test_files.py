@@ -7,8 +7,8 @@ import shutil
 import pytest
 import torch
 
-from common.errors import CheckpointError
-from learner.checkpoint import files
+from eia_sec.common.errors import CheckpointError
+from eia_sec.learner.checkpoint import files
 
 TENSORS = {
     "a": torch.arange(12, dtype=torch.float32).view(3, 4),

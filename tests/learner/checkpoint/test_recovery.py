@@ -4,11 +4,11 @@ import random
 
 import pytest
 
-from common.history.history import Entry, History
-from common.protocol.messages import Envelope
-from learner.checkpoint import recovery
-from learner.checkpoint.recovery import recover_losses
-from learner.intake.ledger import Ledger
+from eia_sec.common.history.history import Entry, History
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.learner.checkpoint import recovery
+from eia_sec.learner.checkpoint.recovery import recover_losses
+from eia_sec.learner.intake.ledger import Ledger
 
 
 def accepted(ledger: Ledger, history: History, worker: str, number: int, incarnation: int = 1) -> None:

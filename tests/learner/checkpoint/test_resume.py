@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig
-from common.config.files import digest
-from common.config.presets import preset
-from common.errors import RunDirError
-from common.imitation import ImitationEvent
-from common.protocol.messages import Envelope
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from learner.algorithms import ALGORITHMS
-from learner.checkpoint import files
-from learner.checkpoint.storage import CHECKPOINTS, RunStorage
-from learner.intake.ledger import Ledger
-from learner.off_policy_trainer import OffPolicyTrainer
-from learner.reporting.phase_times import PhaseTimes
-from learner.service import Learner
+from eia_sec.common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig
+from eia_sec.common.config.files import digest
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import RunDirError
+from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.checkpoint import files
+from eia_sec.learner.checkpoint.storage import CHECKPOINTS, RunStorage
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.reporting.phase_times import PhaseTimes
+from eia_sec.learner.service import Learner
 from tests.learner.algorithms.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))

@@ -4,15 +4,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.history.history import History, Start
-from common.incarnation import STRIDE
-from common.protocol.messages import ProgressMessage
-from learner.checkpoint.recovery import last_epoch
-from learner.checkpoint.storage import RunStorage
-from learner.control.epoch import SuccessorWatch, next_epoch
-from learner.intake.ledger import Ledger
-from learner.off_policy_trainer import OffPolicyTrainer
-from learner.service import HISTORY, Learner
+from eia_sec.common.history.history import History, Start
+from eia_sec.common.incarnation import STRIDE
+from eia_sec.common.protocol.messages import ProgressMessage
+from eia_sec.learner.checkpoint.recovery import last_epoch
+from eia_sec.learner.checkpoint.storage import RunStorage
+from eia_sec.learner.control.epoch import SuccessorWatch, next_epoch
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.service import HISTORY, Learner
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM
 
 DAY = 86_400 * 10**6
@@ -20,7 +20,7 @@ DAY = 86_400 * 10**6
 
 def start(directory, trainer, clock, monkeypatch):
     """Resume a learner's state in a directory under a faked clock; return its epoch and the ledger's losses."""
-    monkeypatch.setattr("common.incarnation.time.time_ns", lambda: clock * 1000)
+    monkeypatch.setattr("eia_sec.common.incarnation.time.time_ns", lambda: clock * 1000)
     learner = Learner.__new__(Learner)
     learner._options, learner.trainer = SimpleNamespace(run_dir=directory, resume=True, start=tuple), trainer
     learner._storage = RunStorage(directory, CONFIG)

@@ -1,6 +1,6 @@
 """Of several coordinators one leads, and a silent one loses the lead for good."""
 
-from learner.control.lease import LEASE_SECONDS, Lease
+from eia_sec.learner.control.lease import LEASE_SECONDS, Lease
 
 
 def test_the_first_claimant_leads_until_it_is_silent():

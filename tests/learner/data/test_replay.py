@@ -6,13 +6,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.errors import CheckpointError, ConfigError, EiaSecError
-from common.seeds import stream
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
-from learner.data.index_set import IndexSet
-from learner.data.replay import Replay
-from learner.data.tensor_snapshot import PIECE_ROWS, whole
+from eia_sec.common.errors import CheckpointError, ConfigError, EiaSecError
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+from eia_sec.learner.data.index_set import IndexSet
+from eia_sec.learner.data.replay import Replay
+from eia_sec.learner.data.tensor_snapshot import PIECE_ROWS, whole
 
 TEAM = TeamSpec((GroupSpec("a", 2, 2, 1), GroupSpec("b", 1, 1, 2)))
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from learner.intake.iteration_room import IterationRoom
-from learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.iteration_room import IterationRoom
+from eia_sec.learner.intake.limits import IntakeLimits
 
 TICK = 0.02
 """Seconds between two looks of the learner for messages."""

@@ -5,22 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config.presets import preset
-from common.errors import SchemaError
-from common.history.history import Entry, History, read
-from common.protocol import keys
-from common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
-from common.protocol.messages import Envelope
-from common.seeds import stream
-from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from deploy.monitor.audit import audit
-from learner.intake.chunk_rules import ChunkRules, EpisodeTracker
-from learner.intake.ledger import Ledger
-from learner.intake.limits import IntakeLimits
-from learner.intake.peer_penalties import LIMIT
-from learner.intake.receiver import Receiver
-from rollout.worker.collector import Collector
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.history.history import Entry, History, read
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.seeds import stream
+from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.deploy.monitor.audit import audit
+from eia_sec.learner.intake.chunk_rules import ChunkRules, EpisodeTracker
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.peer_penalties import LIMIT
+from eia_sec.learner.intake.receiver import Receiver
+from eia_sec.rollout.worker.collector import Collector
 from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, shut
 
 FARM = ChunkRules(environments=2, chunk_steps=10, spool_chunks=4, shortest=30, longest=30)

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from common.protocol.codec import NO_LIMIT
-from learner.intake.iteration_room import STALL_SECONDS, IterationRoom
-from learner.intake.limits import IntakeLimits
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.learner.intake.iteration_room import STALL_SECONDS, IterationRoom
+from eia_sec.learner.intake.limits import IntakeLimits
 from tests.learner.intake.simulated_workers import Simulation
 
 

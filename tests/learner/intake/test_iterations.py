@@ -5,12 +5,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from common.errors import SchemaError
-from common.farm import METRIC_NAMES
-from common.protocol import keys
-from common.protocol.chunk_messages import from_message, to_message, to_request
-from common.protocol.codec import NO_LIMIT
-from common.protocol.messages import Envelope, ProgressMessage
+from eia_sec.common.errors import SchemaError
+from eia_sec.common.farm import METRIC_NAMES
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import from_message, to_message, to_request
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.common.protocol.messages import Envelope, ProgressMessage
 from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut, with_log_probabilities
 from tests.system.fleet import until
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.errors import CheckpointError
-from common.protocol.messages import Envelope
-from learner.intake.ledger import OTHERS, Ledger
-from learner.intake.receiver import Receiver
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.learner.intake.ledger import OTHERS, Ledger
+from eia_sec.learner.intake.receiver import Receiver
 
 
 def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from common.incarnation import LATEST, STRIDE, new_incarnation
-from common.protocol import keys
-from common.protocol.chunk_messages import to_message, to_request
-from common.protocol.messages import ChunkAck, Envelope
-from learner.intake.ledger import Ledger
-from learner.intake.limits import IntakeLimits
-from learner.intake.receiver import Receiver
+from eia_sec.common.incarnation import LATEST, STRIDE, new_incarnation
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_messages import to_message, to_request
+from eia_sec.common.protocol.messages import ChunkAck, Envelope
+from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.limits import IntakeLimits
+from eia_sec.learner.intake.receiver import Receiver
 from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
 from tests.system.fleet import until
 
@@ -114,7 +114,7 @@ def test_a_lockstep_run_ends_with_its_worker():
 
 def test_there_are_accounts_for_so_many_workers(monkeypatch):
     """Names without end are refused before they take memory, and stand in no checkpoint."""
-    monkeypatch.setattr("learner.intake.receiver.MOST_WORKERS", 2)
+    monkeypatch.setattr("eia_sec.learner.intake.receiver.MOST_WORKERS", 2)
     receiver, door = front_door()
     try:
         assert [door.pass_on(parcel(name, 1, 1)).verdict for name in ("a", "b")] == ["accepted"] * 2

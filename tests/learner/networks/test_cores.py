@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from learner.networks.compiled_pass import even, shares
+from eia_sec.learner.networks.compiled_pass import even, shares
 
 UPDATES = """
 import json
@@ -19,7 +19,7 @@ from dataclasses import replace
 import numba
 import torch
 
-from learner.engine import Engine
+from eia_sec.learner.engine import Engine
 from tests.learner.algorithms.variants import variant
 from tests.learner.algorithms.test_engine import BASE, TEAM, batches
 

@@ -5,7 +5,7 @@ import sys
 
 import torch
 
-from learner.networks.fused_adam import EPSILON, FusedAdam
+from eia_sec.learner.networks.fused_adam import EPSILON, FusedAdam
 
 RATES = 1e-3, 3e-4
 
@@ -49,7 +49,7 @@ def test_a_learner_does_without_the_compiler_of_torch():
     """It takes as long to load as torch itself."""
     program = (
         "import sys\n"
-        "from learner.trainers import make_trainer\n"
+        "from eia_sec.learner.trainers import make_trainer\n"
         "from tests.learner.on_policy.small_runs import TEAM, chunk, configured\n"
         "trainer = make_trainer(configured(), TEAM)\n"
         "trainer.absorb(chunk(trainer.actors(), 0, ((40, 0),)))\n"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from learner.engine import Engine
-from learner.networks import compiled_pass, matrix_products
-from learner.networks.matrix_products import SMALL, WHOLE
+from eia_sec.learner.engine import Engine
+from eia_sec.learner.networks import compiled_pass, matrix_products
+from eia_sec.learner.networks.matrix_products import SMALL, WHOLE
 from tests.learner.algorithms.test_engine import BASE, TEAM, batches
 from tests.learner.algorithms.variants import variant
 
@@ -89,7 +89,7 @@ def test_training_ends_where_whole_products_do(monkeypatch, name):
 
 def test_the_benchmark_reports_every_kind_of_product():
     """The command prints JSON with a speed for each product, cut and whole."""
-    command = [sys.executable, "-m", "benchmarks.products", "--repeats", "2", "--widths", "16"]
+    command = [sys.executable, "-m", "research.benchmarks.products", "--repeats", "2", "--widths", "16"]
     lines = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)["products"]
     assert {line["product"] for line in lines} == {"a b", "a^T b", "a b^T"}
     assert all(line["gflops"] > 0 and line["whole_gflops"] > 0 for line in lines)

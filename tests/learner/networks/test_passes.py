@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from learner.networks.compiled_pass import make_pass
-from learner.networks.stacked import Networks, Stack
+from eia_sec.learner.networks.compiled_pass import make_pass
+from eia_sec.learner.networks.stacked import Networks, Stack
 
 LIKE = torch.empty(0, dtype=torch.float64)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import LearnerConfig, RunConfig
-from learner.networks.side_by_side import SideBySide
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.config import LearnerConfig, RunConfig
+from eia_sec.learner.networks.side_by_side import SideBySide
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import layer_shapes
-from learner.on_policy.networks import Stack
-from learner.on_policy.recurrent import RecurrentStack
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.actors import layer_shapes
+from eia_sec.learner.on_policy.networks import Stack
+from eia_sec.learner.on_policy.recurrent import RecurrentStack
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured
 
@@ -36,7 +36,7 @@ def test_passes_of_bfloat16_are_near_those_of_float32(count):
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_layers_are_the_parameters(count):
-    """They lie one after another in `common.actors`' order, and who writes to one changes the network."""
+    """They lie one after another in `eia_sec.common.actors`' order, and who writes to one changes the network."""
     stack = stack_of(count)
     shapes = layer_shapes(INPUTS, HIDDEN, OUTPUTS)
     assert [tuple(layer.shape) for layer in stack.layers] == [(count, *shape) for shape in shapes]

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Categorical, Normal
 
-from common.config import OnPolicyConfig
-from common.seeds import stream
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+from eia_sec.common.config import OnPolicyConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
 
 
 def network(tensors: dict[str, Tensor], name: str, index: int) -> nn.Sequential:
@@ -33,7 +33,7 @@ def network(tensors: dict[str, Tensor], name: str, index: int) -> nn.Sequential:
 
 
 def flat(module: nn.Sequential) -> Tensor:
-    """Return the parameters in the order of `common.actors`."""
+    """Return the parameters in the order of `eia_sec.common.actors`."""
     linear = [layer for layer in module if isinstance(layer, nn.Linear)]
     return torch.cat([p for layer in linear for p in (layer.weight.T.reshape(-1), layer.bias)]).detach()
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from common.team import TeamSpec
-from common.transitions import TRANSITION, Rows
+from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import TRANSITION, Rows
 from tests.learner.on_policy.oracle import Agent, Oracle
 
 
@@ -47,7 +47,7 @@ class Rememberer(nn.Module):
         return self.last(self.states)
 
     def flat(self) -> Tensor:
-        """Return the parameters in the order of `common.actors`."""
+        """Return the parameters in the order of `eia_sec.common.actors`."""
         cell = self.cell.weight_ih.T, self.cell.bias_ih, self.cell.weight_hh.T, self.cell.bias_hh
         parts = self.first.weight.T, self.first.bias, *cell, self.last.weight.T, self.last.bias
         return torch.cat([part.reshape(-1) for part in parts]).detach()

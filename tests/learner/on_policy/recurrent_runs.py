@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from common.actors import TeamActors
-from common.config import RunConfig
-from common.team import Float32
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.team import Float32
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from tests.learner.on_policy.small_runs import configured, observations
 
 LENGTH = 5

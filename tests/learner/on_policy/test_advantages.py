@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED
-from learner.on_policy.advantages import advantages
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from eia_sec.learner.on_policy.advantages import advantages
 
 STEP, END, CUT = TRANSITION, TRANSITION | TERMINATED, TRANSITION | TRUNCATED
 UNUSED = 99.0

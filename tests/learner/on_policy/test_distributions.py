@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.distributions import Categorical, Independent, Normal
 
-from common.actions.sampling import ILLEGAL
-from common.actors import TeamActors
-from common.team import GroupSpec, TeamSpec
-from learner.on_policy.distributions import evaluate
-from learner.on_policy.experience import split, split_actions
+from eia_sec.common.actions.sampling import ILLEGAL
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.learner.on_policy.distributions import evaluate
+from eia_sec.learner.on_policy.experience import split, split_actions
 from tests.learner.on_policy.small_runs import observations, sampled
 
 FREE = GroupSpec("free", 3, 4, 2, choices=(3, 4))

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from common.actions.adapters import Headings, NineMoves
-from common.config import IppoConfig
-from common.errors import ConfigError
-from common.farm import HEADING_SPEEDS
-from common.team import GroupSpec, TeamSpec
-from learner.on_policy.policies import Policies
+from eia_sec.common.actions.adapters import Headings, NineMoves
+from eia_sec.common.config import IppoConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import HEADING_SPEEDS
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.learner.on_policy.policies import Policies
 
 FIRST = 5
 TEAM = TeamSpec((GroupSpec("a", 3, 16, 1, (NineMoves(FIRST),), (9,)),))

@@ -7,11 +7,11 @@ import pytest
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from common.config import EnvConfig, RolloutConfig, RunConfig
-from common.team import GroupSpec, TeamSpec
-from common.transitions import TRANSITION, Chunk, Rows
-from deploy.local.in_process import train_in_process
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.config import EnvConfig, RolloutConfig, RunConfig
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import TRANSITION, Chunk, Rows
+from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.small_runs import ALGORITHMS, sampled
 
 STEPS, OPTIONS = 10, 3

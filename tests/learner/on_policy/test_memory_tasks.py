@@ -7,8 +7,8 @@ import pytest
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from common.config import EnvConfig, RolloutConfig, RunConfig
-from deploy.local.in_process import train_in_process
+from eia_sec.common.config import EnvConfig, RolloutConfig, RunConfig
+from eia_sec.deploy.local.in_process import train_in_process
 from tests.learner.on_policy.small_runs import ALGORITHMS
 
 STEPS = 4

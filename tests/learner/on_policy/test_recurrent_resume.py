@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from common.errors import CheckpointError
-from learner.checkpoint import files
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.errors import CheckpointError
+from eia_sec.learner.checkpoint import files
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
 from tests.learner.test_trainer import assert_bit_equal

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_oracle import RecurrentOracle
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import TEAM, moved

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from common.errors import CheckpointError
-from common.protocol.bfloat16 import to_bits
-from common.transitions import TRUNCATED
-from learner.checkpoint import files
-from learner.data.tensor_snapshot import whole
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.common.errors import CheckpointError
+from eia_sec.common.protocol.bfloat16 import to_bits
+from eia_sec.common.transitions import TRUNCATED
+from eia_sec.learner.checkpoint import files
+from eia_sec.learner.data.tensor_snapshot import whole
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.checkpoint.test_forged import ODD, places, put
 from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
 from tests.learner.test_trainer import assert_bit_equal

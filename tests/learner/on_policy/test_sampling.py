@@ -1,11 +1,11 @@
-"""Sampled actions come as often as the log-probabilities of `common.actions.sampling` state."""
+"""Sampled actions come as often as the log-probabilities of `eia_sec.common.actions.sampling` state."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from common.actions.sampling import LARGEST_ACTION, sample_options, sample_squashed
-from common.team import GroupSpec
+from eia_sec.common.actions.sampling import LARGEST_ACTION, sample_options, sample_squashed
+from eia_sec.common.team import GroupSpec
 
 MASKED = GroupSpec("masked", 1, 8, 2, choices=(3, 4), masked=True)
 

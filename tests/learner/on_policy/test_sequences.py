@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import LearnerConfig
-from common.transitions import TRANSITION, TRUNCATED
-from learner.on_policy.experience import split
-from learner.on_policy.iteration_states import IterationStates
-from learner.on_policy.recurrent import RecurrentStack
-from learner.on_policy.sequences import SequenceLayout, Sequences
-from learner.on_policy.trainer import OnPolicyTrainer
-from learner.on_policy.updates import Updates
+from eia_sec.common.config import LearnerConfig
+from eia_sec.common.transitions import TRANSITION, TRUNCATED
+from eia_sec.learner.on_policy.experience import split
+from eia_sec.learner.on_policy.iteration_states import IterationStates
+from eia_sec.learner.on_policy.recurrent import RecurrentStack
+from eia_sec.learner.on_policy.sequences import SequenceLayout, Sequences
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.learner.on_policy.updates import Updates
 from tests.learner.on_policy.recurrent_runs import ENDS, LENGTH, played, remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ALGORITHMS, TEAM
 
@@ -98,7 +98,7 @@ def test_groups_of_environments_are_all_environments(monkeypatch):
     rows = remembered_chunk(trainer.actors(), 1, ENDS * 3).rows
     found = []
     for most in (4096, 2 * LENGTH):
-        monkeypatch.setattr("learner.on_policy.sequences.LARGEST_BATCH", most)
+        monkeypatch.setattr("eia_sec.learner.on_policy.sequences.LARGEST_BATCH", most)
         updates = Updates(trainer.config.on_policy, TEAM, 5, LearnerConfig())
         states = IterationStates(trainer.config.on_policy, TEAM, rows, updates.values, "cpu")
         assert len(list(states.layout.in_order())) == (1 if most == 4096 else 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.oracle import Oracle, flat, network
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
 

@@ -5,14 +5,14 @@ import json
 import pytest
 from tensorboardX.proto.event_pb2 import SessionLog
 
-from common.team import GroupSpec, TeamSpec
-from common.transitions import EpisodeSummary
-from deploy.reports.run_report import read_metrics
-from learner.reporting import metrics_log, tensorboard
-from learner.reporting.curves import SMOOTHED_EPISODES, Curves
-from learner.reporting.metrics_log import MetricsLog, _reopened
-from learner.reporting.reporter import diverging
-from learner.reporting.tensorboard import FOLDER, TensorBoardWriter
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.deploy.reports.run_report import read_metrics
+from eia_sec.learner.reporting import metrics_log, tensorboard
+from eia_sec.learner.reporting.curves import SMOOTHED_EPISODES, Curves
+from eia_sec.learner.reporting.metrics_log import MetricsLog, _reopened
+from eia_sec.learner.reporting.reporter import diverging
+from eia_sec.learner.reporting.tensorboard import FOLDER, TensorBoardWriter
 from tests.learner.test_diagnostics import events
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))

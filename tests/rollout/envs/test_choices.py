@@ -10,18 +10,18 @@ from gymnasium import spaces
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actors import TeamActors
-from common.config import ControlConfig, EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
-from common.config.action_kinds import discrete_algorithms
-from common.errors import ConfigError, PolicyError, SimulationError
-from common.team import TeamSpec
-from rollout.envs.pettingzoo_actions import RowActions, choices_of
-from rollout.envs.pettingzoo_batch import PettingZooBatch
-from rollout.envs.registry import environment_spec, make_environments
-from rollout.evaluation import evaluate_run
-from rollout.heuristics.random import RandomPolicy
-from rollout.policies import ActorPolicy, fitted
-from rollout.worker.collector import run_noise_free_episodes
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import ControlConfig, EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
+from eia_sec.common.config.action_kinds import discrete_algorithms
+from eia_sec.common.errors import ConfigError, PolicyError, SimulationError
+from eia_sec.common.team import TeamSpec
+from eia_sec.rollout.envs.pettingzoo_actions import RowActions, choices_of
+from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
+from eia_sec.rollout.envs.registry import environment_spec, make_environments
+from eia_sec.rollout.evaluation import evaluate_run
+from eia_sec.rollout.heuristics.random import RandomPolicy
+from eia_sec.rollout.policies import ActorPolicy, fitted
+from eia_sec.rollout.worker.collector import run_noise_free_episodes
 
 ORDER = ("walker_0", "walker_1", "painter_0", "porter_0")
 """The agents of the environment Doors in row order."""

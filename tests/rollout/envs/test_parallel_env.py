@@ -14,14 +14,14 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
-from common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, RewardConfig, WorldConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from common.transitions import EpisodeSummary
-from rollout.envs.episodes import EpisodeStream
-from rollout.envs.parallel_env import env, parallel_env
-from rollout.envs.spaces import observation_bounds, observation_parts
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, RewardConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.envs.episodes import EpisodeStream
+from eia_sec.rollout.envs.parallel_env import env, parallel_env
+from eia_sec.rollout.envs.spaces import observation_bounds, observation_parts
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 
 PLAIN = preset("study").farm
 SHORT = replace(PLAIN, world=WorldConfig(steps=12, start_levels="random"))
@@ -370,7 +370,7 @@ def test_a_deep_copy_flies_on_by_itself():
 
 def test_it_is_registered():
     """Importing the registration enters the farm in PettingZoo's registry, in both forms."""
-    importlib.import_module("rollout.envs.registration")
+    importlib.import_module("eia_sec.rollout.envs.registration")
     assert str(pettingzoo.make("parallel", "eia-sec/Farm-v0", config=SHORT)) == "eia_sec_farm_v0"
     turns = pettingzoo.make("aec", "eia-sec/Farm-v0", config=SHORT)
     turns.reset(seed=0)
@@ -380,7 +380,7 @@ def test_it_is_registered():
 def test_without_rendering_no_drawing_library_is_imported():
     """Training does not import matplotlib."""
     code = (
-        "import sys; from rollout.envs.parallel_env import parallel_env; import rollout.envs.vector;"
+        "import sys; from eia_sec.rollout.envs.parallel_env import parallel_env; import eia_sec.rollout.envs.vector;"
         "parallel_env().reset(seed=0); sys.exit('matplotlib' in sys.modules or 'pygame' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

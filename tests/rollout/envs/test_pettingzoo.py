@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from common.actors import TeamActors
-from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from common.farm import farm_of
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED
-from rollout.envs import registry
-from rollout.envs.pettingzoo_actions import RowActions
-from rollout.envs.pettingzoo_batch import PettingZooBatch
-from rollout.envs.pettingzoo_spec import make_parallel
-from rollout.envs.registry import environment_spec, make_environments
-from rollout.evaluation import evaluate_run
-from rollout.heuristics.random import RandomPolicy
-from rollout.sim.batch import FarmBatch
-from rollout.worker.collector import Collector, run_noise_free_episodes
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.farm import farm_of
+from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from eia_sec.rollout.envs import registry
+from eia_sec.rollout.envs.pettingzoo_actions import RowActions
+from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
+from eia_sec.rollout.envs.pettingzoo_spec import make_parallel
+from eia_sec.rollout.envs.registry import environment_spec, make_environments
+from eia_sec.rollout.evaluation import evaluate_run
+from eia_sec.rollout.heuristics.random import RandomPolicy
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.worker.collector import Collector, run_noise_free_episodes
 from tests.rollout.heuristics.small_farm import SMALL
 
 

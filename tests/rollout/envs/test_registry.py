@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from common.config.presets import PRESETS, preset
-from common.errors import ConfigError
-from rollout.envs.registry import environment_spec, make_environments
+from eia_sec.common.config.presets import PRESETS, preset
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.envs.registry import environment_spec, make_environments
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -36,12 +36,12 @@ def test_a_description_loads_no_simulator_and_no_heuristic():
     """Commands that only need it start sooner."""
     program = (
         "import sys\n"
-        "from common.config.presets import preset\n"
-        "from rollout.envs.registry import environment_spec\n"
-        "from rollout.start_policy import start_parameters\n"
+        "from eia_sec.common.config.presets import preset\n"
+        "from eia_sec.rollout.envs.registry import environment_spec\n"
+        "from eia_sec.rollout.start_policy import start_parameters\n"
         "config = preset('long')\n"
         "start = start_parameters(config, environment_spec(config).team)\n"
-        "loaded = {'rollout.heuristics.registry', 'rollout.sim.batch'} & set(sys.modules)\n"
+        "loaded = {'eia_sec.rollout.heuristics.registry', 'eia_sec.rollout.sim.batch'} & set(sys.modules)\n"
         "sys.exit(not start or bool(loaded))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -9,12 +9,12 @@ import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
-from common.config import WorldConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from rollout.envs.parallel_env import parallel_env
-from rollout.envs.vector import INFO_ARRAYS, FarmVectorEnv
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.rollout.envs.parallel_env import parallel_env
+from eia_sec.rollout.envs.vector import INFO_ARRAYS, FarmVectorEnv
+from eia_sec.rollout.sim.batch import FarmBatch
 
 STEPS = 8
 SHORT = replace(preset("study").farm, world=WorldConfig(steps=STEPS, start_levels="random"))
@@ -246,7 +246,7 @@ def test_misuse_is_refused():
 
 def test_it_is_registered():
     """Gymnasium makes it by name, warns of nothing, and its wrappers understand the infos."""
-    name = "rollout.envs.registration:eia-sec/Farm-v0"
+    name = "eia_sec.rollout.envs.registration:eia-sec/Farm-v0"
     envs = gymnasium.make_vec(name, num_envs=COUNT, config=SHORT, autoreset_mode="SameStep")
     assert isinstance(envs.unwrapped, FarmVectorEnv)
     listed = DictInfoToList(envs)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FarmConfig, RunConfig, StressConfig
-from common.config.files import digest, from_toml, to_toml, with_setting
-from common.errors import ConfigError
-from rollout.farm_files import read_farm, write_farm
+from eia_sec.common.config import FarmConfig, RunConfig, StressConfig
+from eia_sec.common.config.files import digest, from_toml, to_toml, with_setting
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files import read_farm, write_farm
 from tests.rollout.farm_files.texts import FEW, collection, feature, read
 
 BLOCK = ((11.0002, 48.0002), (11.0006, 48.0002), (11.0004, 48.0005))

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig, ObservationConfig, WorldConfig
-from common.errors import ConfigError
-from rollout.farm_files import read_farm, write_farm
-from rollout.farm_files.csv_text import parse_csv
-from rollout.farm_files.geojson import parse_geojson
-from rollout.farm_files.survey import settle
-from rollout.sim.layout import make_layout
+from eia_sec.common.config import FarmConfig, ObservationConfig, WorldConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files import read_farm, write_farm
+from eia_sec.rollout.farm_files.csv_text import parse_csv
+from eia_sec.rollout.farm_files.geojson import parse_geojson
+from eia_sec.rollout.farm_files.survey import settle
+from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.farm_files.texts import FEW, collection, feature, read
 
 

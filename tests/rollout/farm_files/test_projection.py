@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollout.farm_files.projection import TangentPlane
+from eia_sec.rollout.farm_files.projection import TangentPlane
 
 PLACES = [(0.0, 0.0), (11.7, 48.4), (179.9995, -36.8), (-70.0, -54.0), (25.0, 69.5), (-95.0, 84.9)]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from common.errors import ConfigError
-from rollout.farm_files import read_farm, write_farm
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.farm_files import read_farm, write_farm
 from tests.rollout.farm_files.texts import FEW, collection, feature, read
 
 YARD = ((11.0002, 48.0002), (11.0006, 48.0002), (11.0004, 48.0005))

@@ -2,8 +2,8 @@
 
 import json
 
-from common.config import FarmConfig, ObservationConfig
-from rollout.farm_files import read_farm
+from eia_sec.common.config import FarmConfig, ObservationConfig
+from eia_sec.rollout.farm_files import read_farm
 
 FEW = FarmConfig(observation=ObservationConfig(sensors=1))
 """A farm on which any number of sensors fits the observations."""

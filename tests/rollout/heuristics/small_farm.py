@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from common.config import WorldConfig
-from common.config.presets import preset
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.config.presets import preset
 
 SMALL = replace(
     preset("eia-sec").farm,

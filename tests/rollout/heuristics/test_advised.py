@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actions.adapters import Headings, Lattice, NineMoves
-from common.config import RunConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from common.farm import HEADING_SPEEDS, advice_columns, farm_environment, farm_team
-from learner.trainers import make_trainer
-from rollout.heuristics.advised import nearest_heading, nearest_move
-from rollout.heuristics.farms import make_farms
-from rollout.heuristics.registry import heuristic
-from rollout.policies import ActorPolicy
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.actions.adapters import Headings, Lattice, NineMoves
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.farm import HEADING_SPEEDS, advice_columns, farm_environment, farm_team
+from eia_sec.learner.trainers import make_trainer
+from eia_sec.rollout.heuristics.advised import nearest_heading, nearest_move
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.heuristics.registry import heuristic
+from eia_sec.rollout.policies import ActorPolicy
+from eia_sec.rollout.sim.batch import FarmBatch
 
 DEFAULT = preset("default").farm
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
-from common.config.farm import polygons
-from common.config.presets import preset
-from rollout.heuristics.registry import TASKS
-from rollout.heuristics.steering import towards
-from rollout.policies import policy_of
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.sim.boxes import possible
-from rollout.sim.detours import MARGIN, Airspace
+from eia_sec.common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
+from eia_sec.common.config.farm import polygons
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.heuristics.registry import TASKS
+from eia_sec.rollout.heuristics.steering import towards
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.boxes import possible
+from eia_sec.rollout.sim.detours import MARGIN, Airspace
 
 BOUNDARY = REWARD_PARTS.index("boundary")
 SEEN = preset("eia-sec").farm.observation

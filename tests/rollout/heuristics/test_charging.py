@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import BatteryConfig, ZoneConfig
-from common.config.farm.polygons import inside_any
-from common.config.presets import preset
-from rollout.heuristics.charging import FULL, Charging
-from rollout.heuristics.registry import TASKS, heuristic
-from rollout.sim.batch import FarmBatch
-from rollout.sim.stations import station_places
-from rollout.sim.zones import make_zones
+from eia_sec.common.config import BatteryConfig, ZoneConfig
+from eia_sec.common.config.farm.polygons import inside_any
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.heuristics.charging import FULL, Charging
+from eia_sec.rollout.heuristics.registry import TASKS, heuristic
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.stations import station_places
+from eia_sec.rollout.sim.zones import make_zones
 
 PRESET = preset("battery").farm
 FARM = replace(

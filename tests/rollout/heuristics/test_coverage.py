@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config.presets import preset
-from rollout.evaluation import evaluate
-from rollout.heuristics.registry import default_relays
-from rollout.policies import policy_of
-from rollout.sim.base_station import joined_relays
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import make_layout
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.heuristics.registry import default_relays
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.sim.base_station import joined_relays
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.sim.properties.strategies import placed
 
 FARM = preset("connected").farm

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import BatteryConfig, FailureConfig, WindConfig, ZoneConfig
-from common.config.presets import preset
-from common.errors import ConfigError, SimulationError
-from rollout.heuristics.advised import AdvisedFarms
-from rollout.heuristics.charging import FULL
-from rollout.heuristics.failsafe import FailsafeFarms
-from rollout.heuristics.farms import make_farms
-from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels, start_positions
-from rollout.sim.layout import make_layout
-from rollout.sim.stations import station_places
+from eia_sec.common.config import BatteryConfig, FailureConfig, WindConfig, ZoneConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.rollout.heuristics.advised import AdvisedFarms
+from eia_sec.rollout.heuristics.charging import FULL
+from eia_sec.rollout.heuristics.failsafe import FailsafeFarms
+from eia_sec.rollout.heuristics.farms import make_farms
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels, start_positions
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.stations import station_places
 from tests.rollout.sim.properties.strategies import placed
 
 SEARCHING = preset("battery").farm

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FailureConfig, FarmConfig, WorldConfig
-from rollout.heuristics.composite import left_over
-from rollout.heuristics.registry import TASKS
-from rollout.policies import policy_of
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import FailureConfig, FarmConfig, WorldConfig
+from eia_sec.rollout.heuristics.composite import left_over
+from eia_sec.rollout.heuristics.registry import TASKS
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.sim.batch import FarmBatch
 
 SHORT = FarmConfig(world=WorldConfig(steps=70, start_levels="random"))
 

@@ -3,25 +3,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import EnergyConfig, FarmConfig, StressConfig, WorldConfig
-from rollout.evaluation import evaluate
-from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
-from rollout.heuristics.registry import HEURISTICS, TASKS
-from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, served_heights, total_service
-from rollout.heuristics.static import StaticPolicy
-from rollout.heuristics.steering import keep_apart, loiter_speed, towards
-from rollout.heuristics.tasks import greedy, horizon, hungarian
-from rollout.heuristics.tasks.greedy import best_targets
-from rollout.heuristics.tasks.hungarian import HungarianGroupPolicy, chain_value
-from rollout.heuristics.tasks.lawnmower import INSET, collection_routes
-from rollout.heuristics.tasks.sites import steps_between
-from rollout.heuristics.tasks.tour import grouped_tours, plot_tours, short_tour, tries
-from rollout.policies import policy_of
-from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import aim, inside, reach, steps_to
-from rollout.sim.kernel.constants import constants
-from rollout.sim.layout import cell_counts
-from rollout.sim.sweep_routes import plot_centres, round_steps, sweep_routes
+from eia_sec.common.config import EnergyConfig, FarmConfig, StressConfig, WorldConfig
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
+from eia_sec.rollout.heuristics.registry import HEURISTICS, TASKS
+from eia_sec.rollout.heuristics.relays import (
+    CentroidRelays,
+    SearchRelays,
+    served_centres,
+    served_heights,
+    total_service,
+)
+from eia_sec.rollout.heuristics.static import StaticPolicy
+from eia_sec.rollout.heuristics.steering import keep_apart, loiter_speed, towards
+from eia_sec.rollout.heuristics.tasks import greedy, horizon, hungarian
+from eia_sec.rollout.heuristics.tasks.greedy import best_targets
+from eia_sec.rollout.heuristics.tasks.hungarian import HungarianGroupPolicy, chain_value
+from eia_sec.rollout.heuristics.tasks.lawnmower import INSET, collection_routes
+from eia_sec.rollout.heuristics.tasks.sites import steps_between
+from eia_sec.rollout.heuristics.tasks.tour import grouped_tours, plot_tours, short_tour, tries
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.boxes import aim, inside, reach, steps_to
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.sweep_routes import plot_centres, round_steps, sweep_routes
 from tests.rollout.heuristics.small_farm import SMALL
 
 WORLD = SMALL.world

@@ -5,9 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.tasks.horizon import plot_grid, sensor_grid
-from rollout.heuristics.tasks.sites import (
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.heuristics.tasks.horizon import plot_grid, sensor_grid
+from eia_sec.rollout.heuristics.tasks.sites import (
     images_succeed,
     packet_chances,
     pairs_within,
@@ -15,8 +15,8 @@ from rollout.heuristics.tasks.sites import (
     radio_reach,
     sensor_stops,
 )
-from rollout.sim.layout import make_layout
-from rollout.sim.sweep_routes import plot_boxes, plot_centres
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.sweep_routes import plot_boxes, plot_centres
 from tests.rollout.heuristics.small_farm import SMALL
 
 WORLD = SMALL.world

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from common.config import WorldConfig
-from common.config.presets import preset
-from rollout.evaluation import evaluate
-from rollout.heuristics.tasks.tour import plot_tours, tours_beside_monitors
-from rollout.policies import policy_of
-from rollout.sim.sweep_routes import plot_centres
+from eia_sec.common.config import WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.heuristics.tasks.tour import plot_tours, tours_beside_monitors
+from eia_sec.rollout.policies import policy_of
+from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 WORLD = WorldConfig()
 STOPS = np.random.default_rng(3).uniform(0.0, 400.0, (60, 2))

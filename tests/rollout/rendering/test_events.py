@@ -8,13 +8,13 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_rgb
 
-from common.config import BatteryConfig, FarmConfig, RelayConfig, StressConfig
-from rollout.rendering.farm_map import FarmMap, _bars, _events
-from rollout.rendering.palette import LINK_DOWN, STRESS
-from rollout.rendering.render import Renderer
-from rollout.rendering.scene import Observer, chain_of, hop_lines, links_up
-from rollout.rendering.terminal import ALARM, terminal_text
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import BatteryConfig, FarmConfig, RelayConfig, StressConfig
+from eia_sec.rollout.rendering.farm_map import FarmMap, _bars, _events
+from eia_sec.rollout.rendering.palette import LINK_DOWN, STRESS
+from eia_sec.rollout.rendering.render import Renderer
+from eia_sec.rollout.rendering.scene import Observer, chain_of, hop_lines, links_up
+from eia_sec.rollout.rendering.terminal import ALARM, terminal_text
+from eia_sec.rollout.sim.batch import FarmBatch
 
 
 def flown(config, steps):

@@ -14,18 +14,18 @@ from pettingzoo.test import render_test
 from rich.console import Console
 from rich.text import Text
 
-from common.config import CameraConfig, FarmConfig, RadioConfig, WindConfig, WorldConfig, ZoneConfig
-from common.errors import SimulationError
-from common.farm import LETTERS
-from rollout.envs.parallel_env import env, parallel_env
-from rollout.rendering import render
-from rollout.rendering.airspace import WindArrow
-from rollout.rendering.palette import AGE_STOPS, COLOURS, SOIL_STOPS, TYPES, rgb, shade
-from rollout.rendering.picture import SIZE, FarmPicture
-from rollout.rendering.render import Renderer, Terminal, Window
-from rollout.rendering.scene import TRAIL_STEPS, Observer, camera_radius, radio_radius
-from rollout.rendering.terminal import EXTRA_LINES, fitting_width, terminal_text
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import CameraConfig, FarmConfig, RadioConfig, WindConfig, WorldConfig, ZoneConfig
+from eia_sec.common.errors import SimulationError
+from eia_sec.common.farm import LETTERS
+from eia_sec.rollout.envs.parallel_env import env, parallel_env
+from eia_sec.rollout.rendering import render
+from eia_sec.rollout.rendering.airspace import WindArrow
+from eia_sec.rollout.rendering.palette import AGE_STOPS, COLOURS, SOIL_STOPS, TYPES, rgb, shade
+from eia_sec.rollout.rendering.picture import SIZE, FarmPicture
+from eia_sec.rollout.rendering.render import Renderer, Terminal, Window
+from eia_sec.rollout.rendering.scene import TRAIL_STEPS, Observer, camera_radius, radio_radius
+from eia_sec.rollout.rendering.terminal import EXTRA_LINES, fitting_width, terminal_text
+from eia_sec.rollout.sim.batch import FarmBatch
 
 SPARSE = FarmConfig(
     world=WorldConfig(

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.transitions import EpisodeSummary
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import Layout
+from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import Layout
 from tests.rollout.sim.properties.strategies import Flight, placed
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.properties.strategies import Flight, placed
 
 Item = tuple[int, ...]

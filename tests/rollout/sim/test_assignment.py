@@ -6,15 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from common.config import FarmConfig, RelayConfig, WorldConfig
-from common.errors import ConfigError
-from rollout.sim.batch import FarmBatch
-from rollout.sim.kernel.assignment.exchanges import make_exchanges, settle
-from rollout.sim.kernel.assignment.hungarian import assign
-from rollout.sim.kernel.compiler.decorators import compiled
-from rollout.sim.kernel.compiler.logarithm import vectorisable_log
-from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FarmConfig, RelayConfig, WorldConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.kernel.assignment.exchanges import make_exchanges, settle
+from eia_sec.rollout.sim.kernel.assignment.hungarian import assign
+from eia_sec.rollout.sim.kernel.compiler.decorators import compiled
+from eia_sec.rollout.sim.kernel.compiler.logarithm import vectorisable_log
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 
 def solve(cost: np.ndarray) -> np.ndarray:

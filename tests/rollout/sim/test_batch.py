@@ -8,15 +8,15 @@ import numba
 import numpy as np
 import pytest
 
-from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, StressConfig, WorldConfig
-from common.config.presets import preset
-from common.errors import SimulationError
-from common.seeds import derive, stream
-from rollout.sim.batch import FarmBatch, start_positions
-from rollout.sim.kernel.compiler import decorators
-from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
-from rollout.sim.kernel.radio import draw
-from rollout.sim.reference.farm import packet_draw
+from eia_sec.common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, StressConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import SimulationError
+from eia_sec.common.seeds import derive, stream
+from eia_sec.rollout.sim.batch import FarmBatch, start_positions
+from eia_sec.rollout.sim.kernel.compiler import decorators
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
+from eia_sec.rollout.sim.kernel.radio import draw
+from eia_sec.rollout.sim.reference.farm import packet_draw
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
 PLANNING = replace(SHORT, observation=replace(SHORT.observation, plan=6))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FailureConfig, FarmConfig, ObservationConfig, RelayConfig, RewardConfig, WorldConfig
-from common.errors import ConfigError
-from common.farm import farm_environment
-from rollout.sim.base_station import base_place, joined_relays
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.sim.layout import make_layout
+from eia_sec.common.config import FailureConfig, FarmConfig, ObservationConfig, RelayConfig, RewardConfig, WorldConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_environment
+from eia_sec.rollout.sim.base_station import base_place, joined_relays
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.sim.properties.strategies import placed
 
 RELAYED = REWARD_PARTS.index("relayed")

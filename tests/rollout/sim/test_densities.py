@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig, ObservationConfig, WorldConfig
-from common.config.farm.world import Density
-from common.errors import ConfigError
-from rollout.sim.layout import GIVEN, make_layout
+from eia_sec.common.config import FarmConfig, ObservationConfig, WorldConfig
+from eia_sec.common.config.farm.world import Density
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.sim.layout import GIVEN, make_layout
 
 KINDS = get_args(Density)
 ARRAYS = ("sensor_xy", "sensor_type", "sensor_cycle_steps", "sensor_phase", "plot_phase", "cell_start")
@@ -43,7 +43,7 @@ def _counts(layout, bins):
     ],
 )
 def test_the_default_farms_are_those_of_the_committed_results(seed, digest):
-    """Every bit of the layouts that training and evaluation of docs/results flew on."""
+    """Every bit of the layouts that training and evaluation of research/results flew on."""
     layout = make_layout(FarmConfig(), seed)
     assert layout.density == "irregular"
     assert hashlib.sha256(b"".join(getattr(layout, name).tobytes() for name in ARRAYS)).hexdigest() == digest

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FailureConfig, FarmConfig, ObservationConfig, RelayConfig, RunConfig, WorldConfig
-from common.config.files import from_toml, to_toml, with_setting
-from common.errors import ConfigError
-from common.farm import METRIC_NAMES, farm_environment, farm_team
-from rollout.envs.added_parts import added_parts
-from rollout.sim.batch import FarmBatch
-from rollout.sim.failures import NEVER, failure_steps
-from rollout.sim.kernel.relays import NO_LINK
-from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
-from rollout.sim.sweep_routes import all_routes
+from eia_sec.common.config import FailureConfig, FarmConfig, ObservationConfig, RelayConfig, RunConfig, WorldConfig
+from eia_sec.common.config.files import from_toml, to_toml, with_setting
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import METRIC_NAMES, farm_environment, farm_team
+from eia_sec.rollout.envs.added_parts import added_parts
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.failures import NEVER, failure_steps
+from eia_sec.rollout.sim.kernel.relays import NO_LINK
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.sweep_routes import all_routes
 from tests.rollout.sim.properties.test_properties_added import ALL, ground, placed_batch, views
 
 SMALL = FarmConfig(

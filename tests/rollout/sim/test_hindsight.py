@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import (
+from eia_sec.common.config import (
     CameraConfig,
     EnvConfig,
     FarmConfig,
@@ -16,9 +16,9 @@ from common.config import (
     RunConfig,
     WorldConfig,
 )
-from common.errors import ConfigError
-from rollout.envs.registry import make_environments
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.envs.registry import make_environments
+from eia_sec.rollout.sim.batch import FarmBatch
 
 STEPS = 120
 EVERYTHING = FarmConfig(

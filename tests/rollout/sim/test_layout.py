@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig, ObservationConfig, WorldConfig
-from common.errors import ConfigError
-from rollout.sim.layout import make_layout
+from eia_sec.common.config import FarmConfig, ObservationConfig, WorldConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.rollout.sim.layout import make_layout
 
 
 def spacing(xy: np.ndarray) -> float:

@@ -7,13 +7,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from common.config import FarmConfig, RelayConfig
-from common.config.farm.observation import ObservationConfig
-from common.config.presets import preset
-from common.farm import farm_environment
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FarmConfig, RelayConfig
+from eia_sec.common.config.farm.observation import ObservationConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_environment
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.test_reference import SMALL, actions
 
 RELAYED, UTILITY, IDLE = (REWARD_PARTS.index(name) for name in ("relayed", "utility", "idle"))

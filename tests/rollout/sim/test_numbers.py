@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from common.config import EnergyConfig, FarmConfig, RadioConfig, WorldConfig
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.flight.motion import flight_power as compiled_flight_power
-from rollout.sim.kernel.radio import delivery, received_power
-from rollout.sim.layout import cell_counts
-from rollout.sim.reference.farm import free_space_loss, noise_mw, packet_loss, received_mw, vegetation_loss
-from rollout.sim.reference.power import flight_power, other_power
+from eia_sec.common.config import EnergyConfig, FarmConfig, RadioConfig, WorldConfig
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power as compiled_flight_power
+from eia_sec.rollout.sim.kernel.radio import delivery, received_power
+from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.reference.farm import free_space_loss, noise_mw, packet_loss, received_mw, vegetation_loss
+from eia_sec.rollout.sim.reference.power import flight_power, other_power
 
 PRINTED = EnergyConfig(model="printed")
 PHYSICAL = EnergyConfig(model="physical")

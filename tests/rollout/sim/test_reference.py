@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from common.config import FarmConfig, WorldConfig
-from common.config.presets import preset
-from rollout.sim.batch import FarmBatch
-from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 SMALL = WorldConfig(
     communication_uavs=2,

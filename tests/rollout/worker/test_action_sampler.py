@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actors import TeamActors
-from common.config.presets import preset
-from common.farm import farm_team
-from common.team import GroupSpec, TeamSpec
-from rollout.worker.action_sampler import ActionSampler
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.worker.action_sampler import ActionSampler
 
 BORDER = (-1.0, -0.9995, -0.975, -0.95, 0.0, 0.95, 0.975, 0.9995, 1.0)
 """Places at the border, at cells' borders and between them, where rounding decides which cell it is."""

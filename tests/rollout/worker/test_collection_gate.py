@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.config import RolloutConfig
-from common.protocol.codec import NO_LIMIT
-from rollout.worker.collection_gate import CollectionGate
+from eia_sec.common.config import RolloutConfig
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.rollout.worker.collection_gate import CollectionGate
 
 
 def worker(**changed):

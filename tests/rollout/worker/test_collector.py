@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config import EnvConfig, IppoConfig, RolloutConfig, RunConfig
-from common.protocol.bfloat16 import to_bits
-from common.transitions import TRANSITION
-from learner.on_policy.trainer import OnPolicyTrainer
-from rollout.worker.collector import Collector
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EnvConfig, IppoConfig, RolloutConfig, RunConfig
+from eia_sec.common.protocol.bfloat16 import to_bits
+from eia_sec.common.transitions import TRANSITION
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.rollout.worker.collector import Collector
 from tests.learner.on_policy.small_runs import moved
 from tests.rollout.heuristics.small_farm import SMALL
 

@@ -7,19 +7,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.actors import TeamActors
-from common.config import FarmConfig, RunConfig
-from common.config.farm import WorldConfig
-from common.errors import BusError
-from common.farm import farm_team
-from common.policy_store import PolicyStore
-from common.protocol import keys
-from common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from rollout.worker import service
-from rollout.worker.evaluation_service import EvaluationService
-from rollout.worker.service import Worker, WorkerOptions
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import FarmConfig, RunConfig
+from eia_sec.common.config.farm import WorldConfig
+from eia_sec.common.errors import BusError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_store import PolicyStore
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.rollout.worker import service
+from eia_sec.rollout.worker.evaluation_service import EvaluationService
+from eia_sec.rollout.worker.service import Worker, WorkerOptions
 
 
 class Recorded:

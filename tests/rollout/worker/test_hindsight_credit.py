@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import FarmConfig, WorldConfig
-from common.team import Float32
-from rollout.sim.batch import FarmBatch
-from rollout.worker.hindsight_credit import corrected, credit_newest
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.team import Float32
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.worker.hindsight_credit import corrected, credit_newest
 from tests.rollout.heuristics.small_farm import SMALL
 
 STEPS = 60

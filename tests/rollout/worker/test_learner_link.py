@@ -6,19 +6,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.actors import TeamActors
-from common.config import RunConfig
-from common.config.files import from_toml, to_toml
-from common.errors import UsageError
-from common.process import StopSignal
-from common.protocol import keys
-from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
-from common.protocol.messages import ParametersMessage, ProgressMessage
-from common.team import GroupSpec, TeamSpec
-from common.transport.bus import Bus
-from common.transport.endpoint import free_endpoint
-from rollout.worker import learner_link
-from rollout.worker.learner_link import LearnerLink
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import from_toml, to_toml
+from eia_sec.common.errors import UsageError
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
+from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.rollout.worker import learner_link
+from eia_sec.rollout.worker.learner_link import LearnerLink
 
 
 def test_a_worker_stops_that_waits_for_a_new_learners_configuration():

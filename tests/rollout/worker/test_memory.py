@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import TeamActors
-from common.config import IppoConfig, RolloutConfig, RunConfig
-from common.farm import farm_team
-from common.transitions import TRANSITION
-from learner.on_policy.distributions import evaluate as evaluate_actions
-from learner.on_policy.trainer import OnPolicyTrainer
-from rollout.evaluation import evaluate
-from rollout.policies import ActorPolicy
-from rollout.worker.collector import Collector, run_noise_free_episodes
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import IppoConfig, RolloutConfig, RunConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.common.transitions import TRANSITION
+from eia_sec.learner.on_policy.distributions import evaluate as evaluate_actions
+from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.policies import ActorPolicy
+from eia_sec.rollout.worker.collector import Collector, run_noise_free_episodes
 from tests.learner.on_policy.small_runs import moved
 from tests.rollout.heuristics.small_farm import SMALL
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import TeamActors
-from common.config import EiaSecConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
-from common.errors import ConfigError
-from common.farm import farm_team
-from common.transitions import TRANSITION
-from rollout.sim.batch import REWARD_PARTS
-from rollout.worker.collector import Collector, run_noise_free_episodes
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EiaSecConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_team
+from eia_sec.common.transitions import TRANSITION
+from eia_sec.rollout.sim.batch import REWARD_PARTS
+from eia_sec.rollout.worker.collector import Collector, run_noise_free_episodes
 from tests.rollout.heuristics.small_farm import SMALL
 
 STEPS = 40

@@ -9,11 +9,11 @@ from itertools import count
 
 import pytest
 
-from common.errors import BusError
-from common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, from_message, from_request
-from common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
-from rollout.worker import sender as module
-from rollout.worker.sender import Sender
+from eia_sec.common.errors import BusError
+from eia_sec.common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, from_message, from_request
+from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from eia_sec.rollout.worker import sender as module
+from eia_sec.rollout.worker.sender import Sender
 from tests.faults.tools.channel import RUN, TEAM, a_chunk
 from tests.system.fleet import until
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from common.errors import EndpointError
-from common.transport.endpoint import free_endpoint
-from rollout.worker import service
-from rollout.worker.collector import Collector
-from rollout.worker.service import WorkerOptions, serve
-from rollout.worker.warm_up import warm_up
+from eia_sec.common.errors import EndpointError
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.rollout.worker import service
+from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.service import WorkerOptions, serve
+from eia_sec.rollout.worker.warm_up import warm_up
 
 
 @pytest.mark.parametrize(("env", "wanted"), [(None, ["warm"]), ("toy:env", [])])

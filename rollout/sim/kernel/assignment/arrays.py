@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
+from eia_sec.rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

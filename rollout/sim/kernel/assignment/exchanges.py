@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,8 +5,8 @@ The scan order is that of `scipy.optimize.linear_sum_assignment` (Crouse 2016), 
 
 import math
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, Indices
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, Indices
 
 
 @allocation_free

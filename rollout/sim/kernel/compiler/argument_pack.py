@@ -13,14 +13,14 @@ import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 
-from common.config import FarmConfig
-from common.errors import SimulationError
-from common.farm import farm_team
-from rollout.sim.kernel.allocation import make_scratch, make_state
-from rollout.sim.kernel.arrays import Workspace
-from rollout.sim.kernel.compiler.decorators import allocation_free_entry
-from rollout.sim.kernel.constants import constants
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import SimulationError
+from eia_sec.common.farm import farm_team
+from eia_sec.rollout.sim.kernel.allocation import make_scratch, make_state
+from eia_sec.rollout.sim.kernel.arrays import Workspace
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free_entry
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.layout import cell_counts
 
 
 def make_workspace(config: FarmConfig, environments: int, hindsight: bool = False) -> Workspace:

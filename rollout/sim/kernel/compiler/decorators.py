@@ -19,7 +19,7 @@ from typing import Any, Final, TypeVar, cast
 
 import numba
 
-from rollout.sim.kernel.compiler.copies import Compiler
+from eia_sec.rollout.sim.kernel.compiler.copies import Compiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

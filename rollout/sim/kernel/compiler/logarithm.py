@@ -8,7 +8,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
 
 MANTISSA: Final = 52
 """Bits of a float64's fraction."""

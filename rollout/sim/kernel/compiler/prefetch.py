@@ -8,8 +8,8 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import State
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.arrays import State
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 
 LINE: Final = 64
 """Size of a cache line, bytes."""

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
-from common.config.farm.polygons import following
-from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.farm.polygons import following
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

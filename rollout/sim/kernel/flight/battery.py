@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants
-from rollout.sim.kernel.flight.failures import see_nothing
-from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.kernel.flight.planes import kind_of
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants
+from eia_sec.rollout.sim.kernel.flight.failures import see_nothing
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power
+from eia_sec.rollout.sim.kernel.flight.planes import kind_of
 
 Float32 = NDArray[np.float32]
 

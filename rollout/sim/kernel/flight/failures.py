@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Constants, Indices
-from rollout.sim.kernel.flight.planes import kind_of
+from eia_sec.rollout.sim.kernel.arrays import Farm
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Constants, Indices
+from eia_sec.rollout.sim.kernel.flight.planes import kind_of
 
 Float32 = NDArray[np.float32]
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
-from rollout.sim.kernel.flight.airspace import ground_speed, refused
-from rollout.sim.kernel.flight.planes import height_of, kind_of
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
+from eia_sec.rollout.sim.kernel.flight.airspace import ground_speed, refused
+from eia_sec.rollout.sim.kernel.flight.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
 

@@ -1,7 +1,7 @@
 """The three flight planes: communication (0), monitoring (1) and data collection UAVs (2), in row order."""
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import FleetConstants
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import FleetConstants
 
 
 @allocation_free

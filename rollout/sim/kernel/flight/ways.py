@@ -12,14 +12,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import Lattice
-from common.config import FarmConfig
-from common.errors import ConfigError
-from common.farm import COLLECTION, MONITORING, inset_of, lattice_of
-from rollout.sim.boxes import ROUNDING
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.flight.airspace import refused
-from rollout.sim.sweep_routes import plot_boxes
+from eia_sec.common.actions.adapters import Lattice
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
+from eia_sec.rollout.sim.boxes import ROUNDING
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.flight.airspace import refused
+from eia_sec.rollout.sim.sweep_routes import plot_boxes
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

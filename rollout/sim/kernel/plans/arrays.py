@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.plans.constants import PlanConstants
+from eia_sec.rollout.sim.kernel.plans.constants import PlanConstants
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -5,12 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.failures import NEVER
-from rollout.sim.kernel.arrays import Farm
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, Int32
-from rollout.sim.kernel.plans.arrays import PlanScratch
-from rollout.sim.kernel.stress import is_known, next_due, shortened
+from eia_sec.rollout.sim.failures import NEVER
+from eia_sec.rollout.sim.kernel.arrays import Farm
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Int32
+from eia_sec.rollout.sim.kernel.plans.arrays import PlanScratch
+from eia_sec.rollout.sim.kernel.stress import is_known, next_due, shortened
 
 Float32 = NDArray[np.float32]
 Site = NDArray[np.uint32]

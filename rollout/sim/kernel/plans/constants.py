@@ -7,12 +7,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import Lattice
-from common.config import FarmConfig
-from common.errors import ConfigError
-from common.farm import lattice_of
-from rollout.sim.kernel.link import RadioConstants, reach_of
-from rollout.sim.sweep_routes import plot_centres
+from eia_sec.common.actions.adapters import Lattice
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import lattice_of
+from eia_sec.rollout.sim.kernel.link import RadioConstants, reach_of
+from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

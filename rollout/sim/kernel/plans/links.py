@@ -5,12 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants
-from rollout.sim.kernel.flight.planes import height_of
-from rollout.sim.kernel.plans.arrays import PlanScratch
-from rollout.sim.kernel.plans.constants import PlanConstants
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants
+from eia_sec.rollout.sim.kernel.flight.planes import height_of
+from eia_sec.rollout.sim.kernel.plans.arrays import PlanScratch
+from eia_sec.rollout.sim.kernel.plans.constants import PlanConstants
 
 Flags = NDArray[np.bool_]
 

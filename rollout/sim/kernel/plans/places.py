@@ -5,11 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, FleetConstants, Int32
-from rollout.sim.kernel.plans.constants import HEARD, PlanConstants
-from rollout.sim.kernel.radio import table_chance
-from rollout.sim.kernel.views.constants import ViewConstants
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, FleetConstants, Int32
+from eia_sec.rollout.sim.kernel.plans.constants import HEARD, PlanConstants
+from eia_sec.rollout.sim.kernel.radio import table_chance
+from eia_sec.rollout.sim.kernel.views.constants import ViewConstants
 
 Float32 = NDArray[np.float32]
 Site = NDArray[np.uint32]

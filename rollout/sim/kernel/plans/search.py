@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, Indices, Int32
-from rollout.sim.kernel.flight.ways import is_barred
-from rollout.sim.kernel.plans.arrays import PlanScratch
-from rollout.sim.kernel.plans.constants import DISCOUNT
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, Indices, Int32
+from eia_sec.rollout.sim.kernel.flight.ways import is_barred
+from eia_sec.rollout.sim.kernel.plans.arrays import PlanScratch
+from eia_sec.rollout.sim.kernel.plans.constants import DISCOUNT
 
 Float32 = NDArray[np.float32]
 Site = NDArray[np.uint32]

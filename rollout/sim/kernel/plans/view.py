@@ -6,17 +6,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants
-from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.kernel.plans.arrays import PlanScratch
-from rollout.sim.kernel.plans.coming import find_owners, find_sites, know_plots, know_sensors, sort_by_point
-from rollout.sim.kernel.plans.constants import PlanConstants
-from rollout.sim.kernel.plans.links import find_linked
-from rollout.sim.kernel.plans.search import search
-from rollout.sim.kernel.views.places import own_point
-from rollout.sim.kernel.views.routes import STAY
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants
+from eia_sec.rollout.sim.kernel.flight.motion import flight_power
+from eia_sec.rollout.sim.kernel.plans.arrays import PlanScratch
+from eia_sec.rollout.sim.kernel.plans.coming import find_owners, find_sites, know_plots, know_sensors, sort_by_point
+from eia_sec.rollout.sim.kernel.plans.constants import PlanConstants
+from eia_sec.rollout.sim.kernel.plans.links import find_linked
+from eia_sec.rollout.sim.kernel.plans.search import search
+from eia_sec.rollout.sim.kernel.views.places import own_point
+from eia_sec.rollout.sim.kernel.views.routes import STAY
 
 Float32 = NDArray[np.float32]
 

@@ -3,8 +3,8 @@
 import math
 from typing import Final
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
 
 ALL: Final = 0
 """Any sensor counts."""

@@ -7,10 +7,10 @@ Ties go to the first quadrant. If every sum is 0, there is no direction.
 import math
 from typing import Final
 
-from rollout.sim.kernel.arrays import Farm
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, Int32, ObservationConstants
-from rollout.sim.kernel.spatial.neighbours import cell_of
+from eia_sec.rollout.sim.kernel.arrays import Farm
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Int32, ObservationConstants
+from eia_sec.rollout.sim.kernel.spatial.neighbours import cell_of
 
 DIAGONAL: Final = math.sqrt(0.5)
 

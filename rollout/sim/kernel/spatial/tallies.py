@@ -5,9 +5,9 @@ r and the rows above it. A quadrant's sum is then the sum of part of one table r
 delivery is expected, so adding to a tally gives the same bits as a recount.
 """
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
-from rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
+from eia_sec.rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
 
 
 @allocation_free

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.flight.battery import put_charge
-from rollout.sim.kernel.flight.failures import see_nothing
-from rollout.sim.kernel.plans.view import (
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Constants
+from eia_sec.rollout.sim.kernel.flight.battery import put_charge
+from eia_sec.rollout.sim.kernel.flight.failures import see_nothing
+from eia_sec.rollout.sim.kernel.plans.view import (
     NUMBERS,
     mark_best,
     prepare_plans,
@@ -16,19 +16,19 @@ from rollout.sim.kernel.plans.view import (
     put_monitor_plan,
     sees_plans,
 )
-from rollout.sim.kernel.spatial.neighbours import cell_of
-from rollout.sim.kernel.stress import put_stress
-from rollout.sim.kernel.views.airspace import find_stopped, put_airspace
-from rollout.sim.kernel.views.constants import ViewConstants
-from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
-from rollout.sim.kernel.views.links import put_chain, put_joined, put_link, put_links
-from rollout.sim.kernel.views.maps import put_cells, put_plots
-from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
-from rollout.sim.kernel.views.places import find_places
-from rollout.sim.kernel.views.routes import NUMBERS as ROUTE_NUMBERS
-from rollout.sim.kernel.views.routes import put_route
-from rollout.sim.kernel.views.service import put_service
-from rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
+from eia_sec.rollout.sim.kernel.spatial.neighbours import cell_of
+from eia_sec.rollout.sim.kernel.stress import put_stress
+from eia_sec.rollout.sim.kernel.views.airspace import find_stopped, put_airspace
+from eia_sec.rollout.sim.kernel.views.constants import ViewConstants
+from eia_sec.rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
+from eia_sec.rollout.sim.kernel.views.links import put_chain, put_joined, put_link, put_links
+from eia_sec.rollout.sim.kernel.views.maps import put_cells, put_plots
+from eia_sec.rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
+from eia_sec.rollout.sim.kernel.views.places import find_places
+from eia_sec.rollout.sim.kernel.views.routes import NUMBERS as ROUTE_NUMBERS
+from eia_sec.rollout.sim.kernel.views.routes import put_route
+from eia_sec.rollout.sim.kernel.views.service import put_service
+from eia_sec.rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
 
 Float32 = NDArray[np.float32]
 

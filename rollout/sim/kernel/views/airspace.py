@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import inlined
-from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.flight.airspace import refused
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import inlined
+from eia_sec.rollout.sim.kernel.constants import Constants
+from eia_sec.rollout.sim.kernel.flight.airspace import refused
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from rollout.sim.layout import cell_counts
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.sim.layout import cell_counts
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -7,11 +7,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
-from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
-from rollout.sim.kernel.views.arrays import TWO_MOVES
-from rollout.sim.sweep_routes import all_routes
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
+from eia_sec.rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
+from eia_sec.rollout.sim.kernel.views.arrays import TWO_MOVES
+from eia_sec.rollout.sim.sweep_routes import all_routes
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.compiler.logarithm import vectorisable_log
-from rollout.sim.kernel.constants import Array, FleetConstants
-from rollout.sim.kernel.views.arrays import FieldScratch
-from rollout.sim.kernel.views.constants import RATIO
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.compiler.logarithm import vectorisable_log
+from eia_sec.rollout.sim.kernel.constants import Array, FleetConstants
+from eia_sec.rollout.sim.kernel.views.arrays import FieldScratch
+from eia_sec.rollout.sim.kernel.views.constants import RATIO
 
 Float32 = NDArray[np.float32]
 

@@ -13,13 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.chain import join_relays
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
-from rollout.sim.kernel.flight.failures import NOBODY
-from rollout.sim.kernel.flight.planes import height_of
-from rollout.sim.kernel.views.constants import ViewConstants
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.chain import join_relays
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
+from eia_sec.rollout.sim.kernel.flight.failures import NOBODY
+from eia_sec.rollout.sim.kernel.flight.planes import height_of
+from eia_sec.rollout.sim.kernel.views.constants import ViewConstants
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]

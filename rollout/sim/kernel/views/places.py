@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from common.actions.adapters import EDGE as EDGE_SHARE
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.axes import along_side, in_field, in_plot, sign_of
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, Indices
+from eia_sec.common.actions.adapters import EDGE as EDGE_SHARE
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.axes import along_side, in_field, in_plot, sign_of
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Indices
 
 ONE: Final = np.float32(1.0)
 HALF: Final = np.float32(0.5)

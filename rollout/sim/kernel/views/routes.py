@@ -12,13 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.farm import ROUTE_PLOTS
-from rollout.sim.boxes import ROUNDING
-from rollout.sim.kernel.arrays import Farm, Scratch
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
-from rollout.sim.kernel.flight.ways import UNKNOWN, WayConstants, steps_to_plot
-from rollout.sim.kernel.spatial.tallies import total
+from eia_sec.common.farm import ROUTE_PLOTS
+from eia_sec.rollout.sim.boxes import ROUNDING
+from eia_sec.rollout.sim.kernel.arrays import Farm, Scratch
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from eia_sec.rollout.sim.kernel.flight.ways import UNKNOWN, WayConstants, steps_to_plot
+from eia_sec.rollout.sim.kernel.spatial.tallies import total
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]

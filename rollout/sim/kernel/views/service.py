@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, FleetConstants, Indices, RelayConstants
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free
+from eia_sec.rollout.sim.kernel.constants import Array, FleetConstants, Indices, RelayConstants
 
 Float32 = NDArray[np.float32]
 

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.camera import plot_quality, span
-from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import (
+from eia_sec.rollout.sim.kernel.camera import plot_quality, span
+from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from eia_sec.rollout.sim.kernel.constants import (
     Array,
     CameraConstants,
     FleetConstants,
@@ -20,11 +20,11 @@ from rollout.sim.kernel.constants import (
     Int32,
     ObservationConstants,
 )
-from rollout.sim.kernel.radio import LEAST_AGE, table_chance
-from rollout.sim.kernel.spatial.neighbours import block_around, gather
-from rollout.sim.kernel.views.arrays import TWO_MOVES, ViewScratch
-from rollout.sim.kernel.views.constants import ViewConstants
-from rollout.sim.kernel.views.places import go_twice
+from eia_sec.rollout.sim.kernel.radio import LEAST_AGE, table_chance
+from eia_sec.rollout.sim.kernel.spatial.neighbours import block_around, gather
+from eia_sec.rollout.sim.kernel.views.arrays import TWO_MOVES, ViewScratch
+from eia_sec.rollout.sim.kernel.views.constants import ViewConstants
+from eia_sec.rollout.sim.kernel.views.places import go_twice
 
 Float32 = NDArray[np.float32]
 

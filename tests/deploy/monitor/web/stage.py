@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from common.actors import TeamActors
-from common.config import BatteryConfig, FarmConfig, RunConfig, StressConfig, WorldConfig
-from common.config.farm import FailureConfig
-from common.config.files import to_toml
-from common.config.run import RolloutConfig
-from common.farm import farm_team
-from common.protocol.messages import Envelope, ViewMessage, WatchRequest
-from common.transport.endpoint import Endpoint
-from experiments import pictures
-from rollout.worker.collector import Collector
-from rollout.worker.view_service import ViewService
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import BatteryConfig, FarmConfig, RunConfig, StressConfig, WorldConfig
+from eia_sec.common.config.farm import FailureConfig
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.run import RolloutConfig
+from eia_sec.common.farm import farm_team
+from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.view_service import ViewService
+from research import pictures
 
 RUN = "watched"
 SECONDS = 60.0

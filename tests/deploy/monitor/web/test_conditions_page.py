@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from common.farm import COMMUNICATION
-from rollout.rendering.palette import COLOURS, GONE, LINK_DOWN, STRESS, rgb
+from eia_sec.common.farm import COMMUNICATION
+from eia_sec.rollout.rendering.palette import COLOURS, GONE, LINK_DOWN, STRESS, rgb
 from tests.deploy.monitor.web import test_watch_page as pages
 from tests.deploy.monitor.web.stage import CHAINED, CONDITIONS, CONFIG, until
 from tests.deploy.monitor.web.test_watch_page import jump, looking

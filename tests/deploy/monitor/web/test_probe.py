@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from common.config import ControlConfig
-from common.protocol.view_checks import FRAMES, check_view
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.worker.probe import HELD, Probe
+from eia_sec.common.config import ControlConfig
+from eia_sec.common.protocol.view_checks import FRAMES, check_view
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.worker.probe import HELD, Probe
 from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, a_collector, some_actors
 
 WORLD = CONFIG.farm.world

@@ -2,8 +2,8 @@
 
 import pytest
 
-from common.protocol.messages import WatchTerms
-from rollout.worker.view_service import GREETING_SECONDS, LEASE_SECONDS, MAX_WATCHERS, STEPS_PER_SECOND
+from eia_sec.common.protocol.messages import WatchTerms
+from eia_sec.rollout.worker.view_service import GREETING_SECONDS, LEASE_SECONDS, MAX_WATCHERS, STEPS_PER_SECOND
 from tests.deploy.monitor.web.stage import CONFIG, AWorker
 
 STEPS = CONFIG.farm.world.steps

@@ -15,16 +15,16 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from common.errors import EndpointError
-from common.protocol import keys
-from common.protocol.messages import Envelope
-from common.transport.bus import Bus
-from deploy.monitor.web import hub as hubs
-from deploy.monitor.web import server
-from deploy.monitor.web.hub import Hub
-from deploy.monitor.web.packets import Packet, pack
-from deploy.monitor.web.server import FILES, MAX_BROWSERS, WebServer
-from deploy.monitor.web.source import Source
+from eia_sec.common.errors import EndpointError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope
+from eia_sec.common.transport.bus import Bus
+from eia_sec.deploy.monitor.web import hub as hubs
+from eia_sec.deploy.monitor.web import server
+from eia_sec.deploy.monitor.web.hub import Hub
+from eia_sec.deploy.monitor.web.packets import Packet, pack
+from eia_sec.deploy.monitor.web.server import FILES, MAX_BROWSERS, WebServer
+from eia_sec.deploy.monitor.web.source import Source
 from tests.common.protocol.test_view_checks import a_view
 from tests.deploy.monitor.web.stage import CONFIG, RUN, flying, until
 

@@ -15,12 +15,12 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
-import rollout.sim.batch
-import rollout.sim.reference.farm
-from common.config import FarmConfig, WorldConfig
-from common.team import Float32
-from rollout.sim.batch import start_positions
-from rollout.sim.layout import Layout, cell_counts, make_layout
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.team import Float32
+from eia_sec.rollout.sim import batch
+from eia_sec.rollout.sim.batch import start_positions
+from eia_sec.rollout.sim.layout import Layout, cell_counts, make_layout
+from eia_sec.rollout.sim.reference import farm
 
 DOSE = os.environ.get("EIA_SEC_PROPERTIES", "fixed")
 """fixed: the same few examples every time; plain: these, and failures are not made small; many: random ones."""
@@ -314,7 +314,7 @@ def placed(
     changes: dict[str, Any] = {"make_layout": lambda *_: layout, "start_positions": lambda *_: positions.copy()}
     if levels is not None:
         changes["start_levels"] = lambda *_: (levels[0].copy(), levels[1].copy())
-    with patch.multiple(rollout.sim.batch, **changes):
+    with patch.multiple(batch, **changes):
         changes.pop("make_layout")
-        with patch.multiple(rollout.sim.reference.farm, **changes):
+        with patch.multiple(farm, **changes):
             yield

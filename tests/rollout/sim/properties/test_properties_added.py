@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig, ObservationConfig, RelayConfig, RunConfig, WorldConfig
-from common.config.presets import preset
-from common.errors import ConfigError
-from common.farm import farm_environment, farm_team, inset_of, lattice_of
-from common.team import Float32
-from rollout.envs.spaces import row_box
-from rollout.sim.batch import FarmBatch
-from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.views.constants import image_bounds
-from rollout.sim.layout import cell_counts, make_layout
-from rollout.sim.sweep_routes import assigned_routes, sweep_routes
+from eia_sec.common.config import FarmConfig, ObservationConfig, RelayConfig, RunConfig, WorldConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_environment, farm_team, inset_of, lattice_of
+from eia_sec.common.team import Float32
+from eia_sec.rollout.envs.spaces import row_box
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.kernel.constants import constants
+from eia_sec.rollout.sim.kernel.views.constants import image_bounds
+from eia_sec.rollout.sim.layout import cell_counts, make_layout
+from eia_sec.rollout.sim.sweep_routes import assigned_routes, sweep_routes
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_reference import (

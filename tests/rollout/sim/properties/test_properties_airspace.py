@@ -7,12 +7,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
-from common.config.farm.polygons import inside_any
-from common.farm import farm_environment
-from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
-from rollout.sim.layout import Layout
-from rollout.sim.reference.power import flight_power, other_power
+from eia_sec.common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
+from eia_sec.common.config.farm.polygons import inside_any
+from eia_sec.common.farm import farm_environment
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
+from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_added import moves, with_plans_that_fit
 from tests.rollout.sim.properties.test_properties_battery import batteries

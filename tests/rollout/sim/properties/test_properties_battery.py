@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import BatteryConfig, FarmConfig
-from rollout.sim.batch import FarmBatch
-from rollout.sim.stations import station_places
+from eia_sec.common.config import BatteryConfig, FarmConfig
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.stations import station_places
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_reference import reference_of

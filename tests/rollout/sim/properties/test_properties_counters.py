@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import given
 
-from rollout.sim.reference.farm import NEGLIGIBLE, noise_mw, packet_loss, received_mw
+from eia_sec.rollout.sim.reference.farm import NEGLIGIBLE, noise_mw, packet_loss, received_mw
 from tests.rollout.sim.course import Course, fly
 from tests.rollout.sim.properties.strategies import dose, flights
 

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FailureConfig, FarmConfig, RelayConfig
-from common.config.farm.failures import KINDS
-from common.farm import farm_environment
-from rollout.sim.batch import FarmBatch
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FailureConfig, FarmConfig, RelayConfig
+from eia_sec.common.config.farm.failures import KINDS
+from eia_sec.common.farm import farm_environment
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import STARTING, STEPPING, begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_added import everything

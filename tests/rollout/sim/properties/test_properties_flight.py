@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from scipy.optimize import linear_sum_assignment
 
-from rollout.envs.spaces import row_box
-from rollout.sim.batch import REWARD_PARTS
-from rollout.sim.reference.farm import NEGLIGIBLE, free_space_loss
-from rollout.sim.reference.power import flight_power, other_power
+from eia_sec.rollout.envs.spaces import row_box
+from eia_sec.rollout.sim.batch import REWARD_PARTS
+from eia_sec.rollout.sim.reference.farm import NEGLIGIBLE, free_space_loss
+from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.course import Course, fly
 from tests.rollout.sim.properties.strategies import dose, flights
 

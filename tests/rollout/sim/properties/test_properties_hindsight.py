@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig
-from rollout.sim.batch import FarmBatch
+from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.sim.batch import FarmBatch
 from tests.rollout.sim.course import STARTING, STEPPING, begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_reference import TOGETHER

@@ -7,10 +7,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FailureConfig, FarmConfig
-from rollout.sim.base_station import MIDDLES, joined_relays
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.common.config import FailureConfig, FarmConfig
+from eia_sec.rollout.sim.base_station import MIDDLES, joined_relays
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit

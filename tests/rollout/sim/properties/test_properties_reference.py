@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig, WorldConfig
-from rollout.envs.spaces import row_box
-from rollout.sim.batch import FarmBatch
-from rollout.sim.reference.farm import DIRECTIONS, ReferenceFarm
-from rollout.sim.reference.views import observe
+from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.rollout.envs.spaces import row_box
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.reference.farm import DIRECTIONS, ReferenceFarm
+from eia_sec.rollout.sim.reference.views import observe
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.tolerances import ROUGH, observation_tolerance

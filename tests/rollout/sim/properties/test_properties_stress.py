@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig, StressConfig
-from common.config.farm.polygons import Polygon
-from rollout.sim.batch import FarmBatch
-from rollout.sim.stress import known_cycles, patches
+from eia_sec.common.config import FarmConfig, StressConfig
+from eia_sec.common.config.farm.polygons import Polygon
+from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.stress import known_cycles, patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit

@@ -1,0 +1,110 @@
+"""The results as a page and as a picture."""
+
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from eia_sec.deploy.reports.plots import OTHER_COLOURS
+from research.benchmarks.distribution.summary import summary
+from research.benchmarks.peers.report import table
+
+Line = dict[str, Any]
+TEMPLATE: Final = Path(__file__).with_name("page.md")
+
+
+def page(data: Line) -> str:
+    """Return the results as Markdown."""
+    task, lines = data["task"], summary(data["runs"])
+    loads = [run["load"] for run in data["runs"]]
+    return TEMPLATE.read_text(encoding="utf-8").format(
+        **task,
+        **{name: data[name] for name in ("command", "commit", "cores")},
+        seeds=max(line["seeds"] for line in lines),
+        step_ms=f"{1000 * task['period']:.0f}",
+        least_load=f"{min(loads):.1f}",
+        most_load=f"{max(loads):.1f}",
+        nice="" if not data["nice"] else f" Its processes had the priority (nice) {data['nice']}.",
+        times="\n".join(times(lines)),
+        where="\n".join(where(lines)),
+        farm="\n".join(farm(data["farm"])),
+    )
+
+
+def times(lines: list[Line]) -> list[str]:
+    """Return the table of times and speed-ups."""
+    head = ["workers", "seconds to the reward", "from launch, s", "speed-up", "efficiency", "env steps/s", "env steps"]
+    rows = []
+    for line in lines:
+        bound = "" if line["reached"] == line["seeds"] else "> "
+        spread = f" ({line['least']:.0f} to {line['most']:.0f})" if line["seeds"] > 1 else ""
+        shares = ["-", "-"] if line["speedup"] is None else [f"{line['speedup']:.1f}", f"{line['efficiency']:.0%}"]
+        row = [str(line["workers"]), f"{bound}{line['seconds']:.0f}{spread}", f"{line['seconds_from_launch']:.0f}"]
+        rows.append([*row, *shares, f"{line['steps_per_second']:,.0f}", f"{line['environment_steps']:,.0f}"])
+    return table(head, rows, 0)
+
+
+def where(lines: list[Line]) -> list[str]:
+    """Return the table of where the time goes."""
+    head = ["workers", "learner updates", "an update, ms", "workers wait", "flown for nothing"]
+    return table(head, [[str(line["workers"]), *_shares(line)] for line in lines], 0)
+
+
+def farm(lines: list[Line]) -> list[str]:
+    """Return the table of the default preset on the same cores."""
+    head = ["workers", "env steps/s", "learner updates", "an update, ms", "workers wait", "flown for nothing", "load"]
+    rows = [
+        [str(line["workers"]), f"{line['steps_per_second']:,.0f}", *_shares(line), f"{line['load']:.1f}"]
+        for line in lines
+    ]
+    return table(head, rows, 0)
+
+
+def _shares(line: Line) -> list[str]:
+    updating, waiting, rejected = (
+        f"{line[name]:.1%}" for name in ("learner_updating", "workers_waiting", "rejected_share")
+    )
+    return [updating, f"{line['update_ms']:.1f}", waiting, rejected]
+
+
+def picture(data: Line) -> Figure:
+    """Return speed-up against workers, and the reward of the first seed against time."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _speedup(left, summary(data["runs"]))
+    _curves(right, data)
+    for axes in (left, right):
+        axes.grid(True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _named(workers: int) -> str:
+    return f"{workers} worker{'s' if workers > 1 else ''}"
+
+
+def _speedup(axes: Axes, lines: list[Line]) -> None:
+    workers = [line["workers"] for line in lines]
+    axes.plot(workers, workers, "--", color="0.5", label="linear")
+    for colour, name, label in (
+        (OTHER_COLOURS[0], "speedup", "time to the reward"),
+        (OTHER_COLOURS[2], "steps_speedup", "environment steps a second"),
+    ):
+        known = [line for line in lines if line[name] is not None]
+        axes.plot([line["workers"] for line in known], [line[name] for line in known], "o-", color=colour, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="workers", ylabel="times as fast as one worker")
+    axes.set_xticks(workers, labels=[str(number) for number in workers])
+    axes.set_yticks(workers, labels=[str(number) for number in workers])
+    axes.minorticks_off()
+
+
+def _curves(axes: Axes, data: Line) -> None:
+    numbers = sorted({run["workers"] for run in data["runs"]})
+    for place, workers in enumerate(numbers):
+        run = next(run for run in data["runs"] if run["workers"] == workers)
+        seconds, _, reward = zip(*run["curve"], strict=True)
+        axes.plot(seconds, reward, color=OTHER_COLOURS[place % len(OTHER_COLOURS)], label=_named(workers))
+    axes.axhline(data["task"]["reward"], color="0.4", linestyle=":", label="the fixed reward")
+    axes.set(xscale="log", xlabel="seconds since the first transition", ylabel="reward of an episode, per agent")

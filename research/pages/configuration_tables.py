@@ -1,0 +1,162 @@
+"""The tables of docs/reference/configuration.md, from the dataclasses in `eia_sec.common.config` and the presets."""
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from eia_sec.common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
+from eia_sec.common.config.ablations import ABLATIONS
+from eia_sec.common.config.algorithms import OPTIONAL_SECTIONS
+from eia_sec.common.config.farm.sites import Sites
+from eia_sec.common.config.farm.stress import Areas
+from eia_sec.common.config.farm.zones import Zones
+from eia_sec.common.config.files import flatten, format_value
+from eia_sec.common.config.presets import PRESETS
+
+_ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
+refused. The ablations of EIA-SEC are presets as well, `eia-sec` with one or two switches: `eia`
+(`ensemble = false`), `sec` (`elite.enabled = false`) and `base` (both).
+"""
+SHOWN = {name: config for name, config in PRESETS.items() if name not in ABLATIONS}
+"""Presets with a column of their own."""
+
+
+def field_docs(section: type[Any]) -> dict[str, str]:
+    """Return the docstring that stands under each field of a dataclass, by field name, on one line."""
+    docs: dict[str, str] = {}
+    for base in reversed(section.__mro__):
+        if inspect.get_annotations(base):
+            docs |= _own_field_docs(base)
+    return docs
+
+
+def _own_field_docs(section: type[Any]) -> dict[str, str]:
+    definition = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0]
+    assert isinstance(definition, ast.ClassDef)
+    docs = {}
+    for field, following in zip(definition.body, definition.body[1:], strict=False):
+        match field, following:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ):
+                docs[name] = " ".join(text.split())
+    return docs
+
+
+def sections(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every dataclass of a nested configuration with its dotted name, the outermost (named "") first."""
+    yield prefix, config
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from sections(value, f"{prefix}.{field.name}" if prefix else field.name)
+
+
+def configuration_tables() -> str:
+    """Return one table for each section of the configuration, with one row for each key."""
+    parts = []
+    for name, section in sections(RunConfig()):
+        if name == "algorithm":
+            parts += _algorithm_tables()
+            continue
+        presets = {shown: config for shown, config in SHOWN.items() if name not in config.unused_sections}
+        rows = [_row(name, section, field.name, presets) for field in dataclasses.fields(section)]
+        rows = [row for row in rows if row]
+        if rows:
+            title = f"`[{name}]`" if name else "Top of the file"
+            about = _about(type(section)) + _readers(name)
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(presets), *rows]) + "\n")
+    return "\n".join(parts)
+
+
+def _about(section: type[Any]) -> str:
+    """Return the first paragraph of a class's docstring on one line."""
+    return " ".join((inspect.getdoc(section) or "").partition("\n\n")[0].split())
+
+
+def _readers(name: str) -> str:
+    """Return which algorithms read a section, where not all of them do."""
+    if name not in OPTIONAL_SECTIONS:
+        return ""
+    return f" For {_listed([key for key, kind in ALGORITHM_CONFIGS.items() if name in kind.sections])}."
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _algorithm_tables() -> Iterator[str]:
+    """Yield a table of the options that all algorithms share, and one for each class that adds some."""
+    yield f"## `[algorithm]`\n\n{_ALGORITHM}"
+    for owner in _declaring_classes():
+        users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
+        options = {field.name for field in dataclasses.fields(owner)}  # class variables are none
+        fields = [field for field in inspect.get_annotations(owner) if field in options]
+        if owner is not AlgorithmConfig:
+            fields = [field for field in fields if field != "name"]
+        presets = {name: config for name, config in SHOWN.items() if isinstance(config.algorithm, owner)}
+        own = [_plain_row(owner, field) for field in fields]
+        section = next((config.algorithm for config in presets.values()), None)
+        rows = own if section is None else [_row("algorithm", section, field, presets) for field in fields]
+        if rows:
+            head = _table_head(presets or ["default"])
+            yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*head, *rows]) + "\n"
+
+
+def _declaring_classes() -> list[type[Any]]:
+    """Return every class that declares options of an algorithm, those that more algorithms share first."""
+    lines = [reversed(kind.__mro__) for kind in ALGORITHM_CONFIGS.values()]
+    return list(dict.fromkeys(owner for line in lines for owner in line if dataclasses.is_dataclass(owner)))
+
+
+def _plain_row(owner: type[Any], field: str) -> str:
+    """Return the row of an option that no preset's algorithm has."""
+    default = next(entry.default for entry in dataclasses.fields(owner) if entry.name == field)
+    return _cells([f"`{field}`", _type(get_type_hints(owner)[field]), _value(default), field_docs(owner)[field]])
+
+
+def _table_head(columns: Iterable[str]) -> list[str]:
+    names = ["key", "type", *columns, "meaning"]
+    return [_cells(names), _cells(["---"] * len(names))]
+
+
+def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunConfig]) -> str:
+    """Return one key's table row with its value in presets, or nothing when the field is a section of its own.
+
+    A value that the first preset does not have is bold.
+    """
+    if dataclasses.is_dataclass(getattr(section, field)):
+        return ""
+    key = f"{section_name}.{field}" if section_name else field
+    values = [flatten(config)[key] for config in presets.values()]
+    shown = [_value(value) if value == values[0] else f"**{_value(value)}**" for value in values]
+    kind = _type(get_type_hints(type(section))[field])
+    if key == "algorithm.name":
+        kind = " or ".join(f"`{name}`" for name in ALGORITHM_CONFIGS)
+    return _cells([f"`{field}`", kind, *shown, field_docs(type(section))[field]])
+
+
+def _value(value: Any) -> str:
+    return value if isinstance(value, str) else format_value(value)
+
+
+def _type(wanted: Any) -> str:
+    if get_origin(wanted) is Literal:
+        return " or ".join(f"`{choice}`" if choice != "" else "empty" for choice in get_args(wanted))
+    if wanted == Sites:
+        return "list of places"
+    if wanted == Zones:
+        return "list of polygons"
+    if wanted == Areas:
+        return "list of [growth, polygon]"
+    if get_origin(wanted) is tuple:
+        return "list of integers"
+    return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
+
+
+def _cells(cells: list[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
