@@ -1,12 +1,10 @@
-"""What every process of a run shares: finding the learner, presence, metric messages, the log, and stopping."""
+"""What every process of a run shares: finding the learner, presence, metric messages, and stopping."""
 
-import atexit
 import datetime
 import os
 import queue
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -14,9 +12,9 @@ from types import FrameType
 from typing import Any, Final
 
 from eia_sec.common.errors import BusError
+from eia_sec.common.log import log, name_process
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
-from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus, Publisher
 from eia_sec.common.transport.endpoint import Endpoint
 
@@ -72,36 +70,6 @@ class StopSignal:
         return self.event.is_set()
 
 
-SEPARATOR: Final = "\n  | "
-"""Separates the lines of one log entry."""
-_unwritten: Final = [0]
-"""Number of lines lost since the last one that was written."""
-
-
-def log(text: str) -> None:
-    """Write one line with the time of day to standard error, control characters made printable.
-
-    A full disk does not stop the process. Lines that cannot be written are counted; the next line that can be written
-    states how many are missing. If there is none before, a last line does so when the process ends.
-    """
-    before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
-    try:
-        sys.stderr.write(
-            f"{time.strftime('%H:%M:%S')} {before}{SEPARATOR.join(map(printable, text.split(SEPARATOR)))}\n"
-        )
-        sys.stderr.flush()
-    except (OSError, ValueError, AttributeError):  # the latter where there is no standard error at all
-        _unwritten[0] += 1
-    else:
-        _unwritten[0] = 0
-
-
-@atexit.register
-def _close_log() -> None:
-    if _unwritten[0]:
-        log("this process ends.")
-
-
 class Presence:
     """A process's liveliness token and its stream of lossy metrics.
 
@@ -117,6 +85,7 @@ class Presence:
         self._token = bus.announce(keys.LIVE.key(run, role=role, name=name))
         self._publisher: Publisher = bus.publish(keys.METRIC.key(run, role=role, name=name))
         self._sender = (role, name, incarnation)
+        name_process(role, name)
         self._credentials, self._logged = bus.credentials, ""
         self._counter = 0
         self._started = time.monotonic()

@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Final, NoReturn
 
 from eia_sec.common.errors import UsageError
+from eia_sec.common.log import FORMAT, FORMATS
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.local.memory import keep_freed_memory
 from eia_sec.deploy.local.threads import thread_environment
@@ -72,10 +73,38 @@ COMMANDS: Final = {
 }
 
 
+LOG_FORMAT: Final = ("--log-format", "--log_format")
+
+
 def overview() -> str:
     """Return the text of `eia-sec --help`."""
     lines = [f"  {name:<10}{command.summary}" for name, command in COMMANDS.items()]
-    return "\n".join(["usage: eia-sec COMMAND [OPTIONS]", "", *lines, "", "eia-sec COMMAND --help shows its options."])
+    hints = [
+        "eia-sec COMMAND --help shows its options.",
+        "Each command takes --log-format text or json: how it and the processes that it starts write their logs.",
+    ]
+    return "\n".join(["usage: eia-sec COMMAND [OPTIONS]", "", *lines, "", *hints])
+
+
+def without_log_format(arguments: list[str]) -> list[str]:
+    """Return a command line without `--log-format FORMAT`, which it sets for this process and those that it starts.
+
+    Raises:
+        UsageError: there is no such format.
+    """
+    places = [
+        place for place, word in enumerate(arguments) if word.partition("=")[0] in ("--log-format", "--log_format")
+    ]
+    if not places:
+        return arguments
+    place = places[0]
+    _, equals, value = arguments[place].partition("=")
+    end = place + 1 if equals else place + 2
+    value = value if equals else "".join(arguments[place + 1 : end])
+    if value not in FORMATS:
+        raise UsageError(f"--log-format is {value or 'empty'}, not {' or '.join(FORMATS)}.")
+    os.environ[FORMAT] = value
+    return [*arguments[:place], *arguments[end:]]
 
 
 def dispatch(arguments: list[str]) -> int:
@@ -83,6 +112,7 @@ def dispatch(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         sys.stdout.write(overview() + "\n")
         return 0 if arguments else 2
+    arguments = without_log_format(arguments)
     command = COMMANDS.get(arguments[0])
     if command is None:
         raise UsageError(f"unknown command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")

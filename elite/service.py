@@ -12,7 +12,8 @@ from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, ProtocolError
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.incarnation import new_incarnation
-from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
+from eia_sec.common.log import log
+from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.epoch_fence import EpochFence
 from eia_sec.common.protocol.messages import (
@@ -105,6 +106,7 @@ class Coordinator:
             time.sleep(IDLE_SECONDS)
             if time.monotonic() - self._reported >= REPORT_SECONDS:
                 self._report()
+        log(f"coordinator {self._options.name} ends.")
         self._report()
 
     def _claim(self) -> None:
@@ -155,6 +157,8 @@ class Coordinator:
         if self._deliver(message, stop):
             self._announcer.put(message.encode())
             self._last = event
+            elites = ", ".join(f"{g.name} {e}" for g, e in zip(self._team.groups, event.elites, strict=True))
+            log(f"coordinator: event {number} is applied with rate {event.rate:.3g}; elites: {elites}.")
         self._await_applied(number, stop)
 
     def _deliver(self, message: ImitationMessage, stop: StopSignal) -> bool:

@@ -12,6 +12,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, EiaSecError, UsageError
 from eia_sec.common.history.history import History
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.codec import NO_LIMIT
@@ -25,6 +26,7 @@ from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.control.command_server import CommandServer
 from eia_sec.learner.control.epoch import SuccessorWatch, next_epoch
 from eia_sec.learner.control.imitation_server import ImitationServer
+from eia_sec.learner.control.membership import Membership
 from eia_sec.learner.control.parameter_publisher import ParameterPublisher
 from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.learner.intake.feed import ExperienceFeed
@@ -65,7 +67,7 @@ class Learner:
     def __init__(
         self, options: LearnerOptions, config: RunConfig, environment: EnvironmentSpec, control: Bus, bulk: Bus
     ) -> None:
-        self._options, team = options, environment.team
+        self._options, self._config, team = options, config, environment.team
         warm_up(config, team)
         self.trainer = make_trainer(config, team)
         self._storage = RunStorage(options.run_dir, config)
@@ -87,8 +89,15 @@ class Learner:
             crowding = AdmissionSource(options.endpoint)
             self._reporter.add(crowding.metrics, crowding.alarms)
         self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, time.monotonic())])
-        if options.resume:
+        self._log_begin()
+
+    def _log_begin(self) -> None:
+        trainer, done = self.trainer, f"{self.trainer.episodes} of {self._config.episodes} episodes"
+        if self._options.resume:
             self._reporter.log_resume()
+        resumed = self._options.resume and trainer.environment_steps > 0
+        how = "resumed from a checkpoint" if resumed else "begun"
+        log(f"run {self._options.run} is {how}: {done}, {trainer.environment_steps} steps, {trainer.updates} updates.")
 
     def _restore(self) -> tuple[Ledger, float]:
         """Resume from the newest checkpoint if requested; return the ledger and the seconds that the run has taken."""
@@ -107,6 +116,7 @@ class Learner:
         self._successor = SuccessorWatch(control, run, self._epoch)
         configuration = ConfigurationMessage(self._epoch, to_toml(config), team.to_dict(), lockstep)
         commands = control.serve(keys.COMMAND.pattern(run), 64)
+        self._membership = Membership(control, run)
         self._commands = CommandServer(commands, configuration, ledger.newest_incarnation)
         server = control.serve(keys.IMITATION.key(run), 4)
         self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
@@ -173,8 +183,11 @@ class Learner:
             self._receiver.room.open(*wanted, updating=self.trainer.updates_due() > 0)
 
     def _train(self, updates: int) -> None:
+        before = self.trainer.updates
         with self._times.measure("training"):
             self.trainer.train(updates)
+        if not before and self.trainer.updates:
+            log(f"the first update was made after {self.trainer.environment_steps} steps.")
 
     def _awaits_event(self) -> bool:
         has_coordinator = self._commands.lease.holder is not None
@@ -237,6 +250,7 @@ class Learner:
     def _report(self) -> None:
         self._schedule.report_timer.restart(time.monotonic())
         self._storage.require_same_directory()
+        self._membership.update()
         self._receiver.throttle.release()
         self._reporter.report(self._state)
 
@@ -265,6 +279,7 @@ class Learner:
         failure = self._storage.write_policy(self.trainer)
         self._report()
         self._reporter.log_end(state)
+        log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")
         time.sleep(FAREWELL_SECONDS)
         self._commands.answer()
         self._reporter.close()

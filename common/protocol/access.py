@@ -86,6 +86,7 @@ GRANTS: Final = (
     Grant("learner", "read", keys.PROGRESS),
     Grant("learner", "answer", keys.COMMAND),
     Grant("learner", "answer", keys.IMITATION),
+    Grant("learner", "watch", keys.LIVE),
     *_own("learner"),
     Grant("rollout", "ask", keys.TRANSITION, {"worker": NAME}),
     Grant("rollout", "read", keys.PARAMETERS),

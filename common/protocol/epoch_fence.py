@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from eia_sec.common.process import log
+from eia_sec.common.log import log
 
 PATIENCE_SECONDS: Final = 10.0
 """Time for which only a lower epoch must send before it is followed, s; a replaced learner ends much sooner."""

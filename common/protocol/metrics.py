@@ -87,6 +87,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "episodes",
             "episodes not counted because this learner has not received all their steps",
         ),
+        Metric("flights_given_up", "chunks", "chunks that others no longer waited for, because nobody delivered"),
         *_ADMISSION,
         Metric("elapsed", "s", "time since the run began, without the pauses between its starts"),
         Metric(

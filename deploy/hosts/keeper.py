@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from eia_sec.common.errors import HostError, UsageError
-from eia_sec.common.process import StopSignal, log
+from eia_sec.common.log import log
+from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.credentials import Identity
 from eia_sec.deploy.hosts.plan import ORDER
 from eia_sec.deploy.local.supervisor import Child, Supervisor

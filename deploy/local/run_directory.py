@@ -35,6 +35,27 @@ def own_folder(run_dir: Path, name: str) -> Path:
     return run_dir / name
 
 
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder that nobody else has: `name`, or `name-2`, `name-3`, ... where runs begin in the same second.
+
+    Raises:
+        RunDirError: this user may not write here.
+    """
+    path, number = parent / name, 1
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                path.mkdir()
+            except FileExistsError:
+                number += 1
+                path = parent / f"{name}-{number}"
+            else:
+                return path
+    except OSError as error:
+        raise RunDirError(f"cannot write into {parent}: {error.strerror}.") from error
+
+
 class RunDirectory:
     """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 

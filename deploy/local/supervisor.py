@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from eia_sec.common.process import SEPARATOR, SUPERVISOR, log
+from eia_sec.common.log import SEPARATOR, log
+from eia_sec.common.process import SUPERVISOR
 from eia_sec.deploy.exit_codes import USAGE
 from eia_sec.deploy.local.file_ends import last_lines
 from eia_sec.deploy.local.threads import thread_environment

@@ -7,8 +7,8 @@ from typing import Any, Final, Protocol
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import digest, method_of
 from eia_sec.common.errors import PolicyError, RunDirError
+from eia_sec.common.log import log
 from eia_sec.common.policy_file import save_policy
-from eia_sec.common.process import log
 from eia_sec.learner.checkpoint import files
 from eia_sec.learner.checkpoint.trainer_state import counter, finite, mapping
 from eia_sec.learner.checkpoint.writer import CheckpointWriter

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from eia_sec.common.process import log
+from eia_sec.common.log import log
 from eia_sec.learner.checkpoint import files
 from eia_sec.learner.data.tensor_snapshot import Frozen
 
@@ -61,6 +61,7 @@ class CheckpointWriter:
             self.seconds = time.perf_counter() - started
             self.written += 1
             self.failure = ""
+            log(f"checkpoint {path.name}: {self.bytes / 2**20:.1f} MiB in {self.seconds:.1f} s.")
         except Exception as error:
             # Otherwise any exception, such as a device out of memory, would end training at the next checkpoint.
             self.failure = f"no checkpoint could be written ({error}); the previous one is kept."

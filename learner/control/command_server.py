@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from eia_sec.common.errors import ProtocolError
-from eia_sec.common.process import log
+from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
 from eia_sec.common.transport.bus import Incoming, Server

@@ -12,8 +12,10 @@ without waiting for answers. Below that, a worker flies its next chunk when its 
 back, first come first served, while the chunks that are being flown fill the budget.
 """
 
+import statistics
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -27,6 +29,11 @@ STALL_SECONDS: Final = 2.0
 STALL_FLIGHTS: Final = 3.0
 """Time with room in which nobody delivered, s, or as a multiple of the longest recent flight, whichever is longer.
 Those who were to fly have then probably left, and others fly instead."""
+STALL_TYPICAL: Final = 2.0
+STALL_MOST: Final = 30.0
+"""Nobody waits longer than so many typical (median) flights and so many seconds, however slow one worker is."""
+RECENT: Final = 64
+"""Flights from which the typical one is found."""
 
 Reply = Callable[[int, int], None]
 """Sends an answer, given the parameter version that its worker must hold, and the steps that it may have under way."""
@@ -55,6 +62,9 @@ class IterationRoom:
         version: the newest published parameter version.
         gate: the receiver's lock; methods that say so are called with it, all others take it.
         clock: returns monotonic seconds.
+
+    Attributes:
+        given_up: chunks that were no longer waited for, because nobody delivered for too long.
     """
 
     def __init__(
@@ -66,6 +76,8 @@ class IterationRoom:
         self._flying: dict[str, _Flight] = {}
         self._held: list[_Held] = []
         self._seen, self._longest = clock(), 0.0
+        self._recent: deque[float] = deque(maxlen=RECENT)
+        self.given_up = 0
 
     def open(self, iteration: int, steps: int, *, updating: bool) -> None:
         """Let an iteration take in its steps; a repeated call opens nothing again.
@@ -173,7 +185,8 @@ class IterationRoom:
         """Note that a worker flies no longer."""
         self._seen = self._clock()
         if (flight := self._flying.pop(worker, None)) is not None:
-            self._longest = max(0.9 * self._longest, self._seen - flight.began)
+            self._recent.append(self._seen - flight.began)
+            self._longest = max(0.9 * self._longest, self._recent[-1])
 
     def _free(self) -> int:
         """Return the steps of the budget that nobody flies for."""
@@ -190,14 +203,19 @@ class IterationRoom:
     def _release(self) -> list[Answer]:
         """Return the held answers that may go out now."""
         found = []
-        patience = max(STALL_SECONDS, STALL_FLIGHTS * self._longest)
-        if self._held and self._budget() > 0 and self._clock() - self._seen > patience:
+        if self._held and self._budget() > 0 and self._clock() - self._seen > self._patience():
+            self.given_up += self._flyers()
             self._flying.clear()
         while self._held and (self._steps is None or self._free() > 0):
             held = self._held.pop(0)
             # The newest parameters may still be on their way, and what is flown with older ones may come too late.
             found.append(self._grant(held.worker, held.reply, self._version))
         return found
+
+    def _patience(self) -> float:
+        typical = statistics.median(self._recent) if self._recent else 0.0
+        longest = min(STALL_FLIGHTS * self._longest, STALL_TYPICAL * typical + STALL_MOST)
+        return max(STALL_SECONDS, longest)
 
     def _grant(self, worker: str, reply: Reply, required: int) -> Answer:
         if self._steps is None:

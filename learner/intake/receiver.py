@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eia_sec.common.errors import ProtocolError, SchemaError
 from eia_sec.common.history.history import Entry, History
 from eia_sec.common.incarnation import plausible
-from eia_sec.common.process import log
+from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
 from eia_sec.common.protocol.codec import NO_LIMIT
@@ -159,6 +159,7 @@ class Receiver:
             "malformed_by": self.peer_penalties.counts(),
             "turned_away": self.throttle.turned_away,
             "uncounted_episodes": self.uncounted_episodes,
+            "flights_given_up": self.room.given_up,
         }
 
     def join(self) -> None:

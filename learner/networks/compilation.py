@@ -5,6 +5,10 @@ from typing import Any, Final, TypeVar, cast
 
 import numba
 
+from eia_sec.common.compiled_code import require_cache
+
+require_cache()
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 FASTMATH: Final = {"reassoc", "contract", "nsz"}
 """What the compiler may assume: sums may be reordered for vector instructions, but numbers need not be finite."""

@@ -20,7 +20,7 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import digest, to_toml
 from eia_sec.common.config.presets import read_saved
 from eia_sec.common.errors import RunDirError, UsageError
-from eia_sec.common.process import log
+from eia_sec.common.log import log
 from research.studies.record_checks import check_result
 
 Kind = Literal["train", "fly", "time"]

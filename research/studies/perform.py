@@ -20,8 +20,9 @@ import torch
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import EiaSecError, PolicyError, RunDirError, SchemaError
+from eia_sec.common.log import log
 from eia_sec.common.policy_file import save_policy
-from eia_sec.common.process import StopSignal, log
+from eia_sec.common.process import StopSignal
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
 from eia_sec.deploy.local.in_process import train_in_process

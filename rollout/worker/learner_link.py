@@ -6,8 +6,9 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import method_of
 from eia_sec.common.config.presets import read_saved
 from eia_sec.common.errors import ProtocolError, UsageError
+from eia_sec.common.log import log
 from eia_sec.common.policy_store import PolicyStore
-from eia_sec.common.process import StopSignal, fetch_configuration, log
+from eia_sec.common.process import StopSignal, fetch_configuration
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.epoch_fence import EpochFence

@@ -9,7 +9,8 @@ from itertools import islice
 
 from eia_sec.common.errors import BusClosedError, BusError, ProtocolError
 from eia_sec.common.history.history import Entry, History
-from eia_sec.common.process import QUICK_SECONDS, log
+from eia_sec.common.log import log
+from eia_sec.common.process import QUICK_SECONDS
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
 from eia_sec.common.protocol.codec import NO_LIMIT

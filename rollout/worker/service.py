@@ -21,7 +21,8 @@ from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import UsageError
 from eia_sec.common.history.history import History, Start
 from eia_sec.common.incarnation import new_incarnation, seconds_ahead
-from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
+from eia_sec.common.log import log
+from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
 from eia_sec.common.protocol.messages import ConfigurationMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
@@ -131,6 +132,7 @@ class Worker:
         self._view_service = ViewService(control, run, name, start, self._collector, answer.toml)
         self._presence = Presence(control, run, "rollout", name, start)
         self._times = _Times()
+        log(f"worker {name} collects for run {run} in {config.rollout.environments} environments.")
 
     def run(self) -> None:
         """Collect and deliver until the run is finished or the stop signal comes.
@@ -145,6 +147,8 @@ class Worker:
             left = max(DELIVER_SECONDS, self._seconds_left())
             if not self._sender.wait_empty(left, self._serve_while_ending):
                 log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
+            steps, state = self._collector.environment_steps, self._learner.state
+            log(f"worker {self._options.name} ends after {steps} steps; the learner is {state}.")
             self._report()
         finally:
             try:

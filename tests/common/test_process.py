@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from eia_sec.common.process import LARGEST, SEPARATOR, Presence, StopSignal, denial, log
+from eia_sec.common.log import SEPARATOR, log
+from eia_sec.common.process import LARGEST, Presence, StopSignal, denial
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import MetricMessage
 from eia_sec.common.transport.bus import Bus

@@ -1,13 +1,15 @@
 """Command lines: a user's mistake is one clear sentence and exit code 2."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from eia_sec.common.config import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.config.files import to_toml
-from eia_sec.common.errors import RunDirError
-from eia_sec.deploy.cli import COMMANDS, dispatch
+from eia_sec.common.errors import RunDirError, UsageError
+from eia_sec.common.log import FORMAT
+from eia_sec.deploy.cli import COMMANDS, dispatch, without_log_format
 from eia_sec.deploy.commands.fleet.keys import IssueArguments, KeysArguments
 from eia_sec.deploy.commands.policies.fly import FlyArguments
 from eia_sec.deploy.exit_codes import run_command
@@ -241,3 +243,18 @@ def test_file_goes_over_preset(tmp_path: Path) -> None:
     config = base_configuration(["--preset", "quick", f"--config={path}"])
     assert config.episodes == 77
     assert config.algorithm == base_configuration(["--preset", "quick"]).algorithm
+
+
+@pytest.mark.parametrize("words", [["--log-format", "json"], ["--log_format=json"]])
+def test_the_log_format_is_an_option_of_every_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is taken out of the command line wherever it stands, and processes inherit it."""
+    monkeypatch.setenv(FORMAT, "text")
+    assert without_log_format(["train", *words, "--seed", "1"]) == ["train", "--seed", "1"]
+    assert os.environ[FORMAT] == "json"
+
+
+@pytest.mark.parametrize("words", [["--log-format", "yaml"], ["--log-format"], ["--log-format="]])
+def test_another_log_format_is_refused(words: list[str]) -> None:
+    """It is one of two."""
+    with pytest.raises(UsageError, match="text or json"):
+        without_log_format(["train", *words])

@@ -10,9 +10,10 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.farm import farm_team, require_farm
+from eia_sec.common.log import log
 from eia_sec.common.names import check_name
 from eia_sec.common.policy_file import load_policy
-from eia_sec.common.process import StopSignal, log
+from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.flight.node import FlightNode, NodeOptions

@@ -11,8 +11,8 @@ import tyro
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import UsageError
+from eia_sec.common.log import log
 from eia_sec.common.names import check_name
-from eia_sec.common.process import log
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.run_directory import RunDirectory

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from eia_sec.common.process import StopSignal, log
+from eia_sec.common.log import log
+from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.admission import admission
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint

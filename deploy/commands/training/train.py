@@ -21,7 +21,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.exit_codes import USAGE
-from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory, new_folder
 from eia_sec.deploy.local.supervisor import Supervisor
 from eia_sec.deploy.local.threads import allowed_cores
 from eia_sec.deploy.monitor.live_view import render, summary
@@ -91,7 +91,7 @@ def command(arguments: Sequence[str]) -> int:
     endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
+    directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{options.preset}-{stamp}"))
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
     directory.adopt(options.settings)

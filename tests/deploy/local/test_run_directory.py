@@ -10,7 +10,7 @@ import pytest
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.errors import RunDirError, UsageError
-from eia_sec.deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory
+from eia_sec.deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory, new_folder
 
 
 def hold(path: Path, line: Connection) -> None:
@@ -115,3 +115,16 @@ def test_a_full_disk_leaves_no_half_configuration(tmp_path, monkeypatch):
     monkeypatch.undo()
     RunDirectory(tmp_path / "run").prepare(RunConfig(), resume=False)
     assert RunDirectory(tmp_path / "run").configuration() == RunConfig()
+
+
+def test_runs_that_begin_in_the_same_second_get_folders_of_their_own(tmp_path: Path) -> None:
+    """A name that is taken gets a number, so no run is refused because of another."""
+    found = [new_folder(tmp_path / "runs", "default-20260101-120000").name for _ in range(3)]
+    assert found == ["default-20260101-120000", "default-20260101-120000-2", "default-20260101-120000-3"]
+
+
+def test_a_place_without_room_for_runs_is_one_sentence(tmp_path: Path) -> None:
+    """A folder that cannot be made is a user's mistake."""
+    (tmp_path / "file").touch()
+    with pytest.raises(RunDirError, match="cannot write into"):
+        new_folder(tmp_path / "file" / "runs", "default")

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from eia_sec.common.protocol.codec import NO_LIMIT
-from eia_sec.learner.intake.iteration_room import STALL_SECONDS, IterationRoom
+from eia_sec.learner.intake.iteration_room import STALL_MOST, STALL_SECONDS, IterationRoom
 from eia_sec.learner.intake.limits import IntakeLimits
 from tests.learner.intake.simulated_workers import Simulation
 
@@ -177,3 +177,26 @@ def test_a_worker_that_leaves_stops_nobody():
     """With leave to fly for half of an iteration it never comes again; the others go on at their rate."""
     run = Simulation(3, 8000, 16_000, 0.5, 1.0, gone=1)
     assert run.run(60.0) >= 0.9 * 16_000
+
+
+def test_one_slow_worker_does_not_stall_the_others():
+    """Others wait for twice a typical flight and half a minute, not for a multiple of the slowest worker's flight."""
+    field = Field(workers=3, chunk=500, iteration=1000, most_lag=0)
+
+    def ask(worker):
+        field.answers.pop(worker, None)
+        field.room.answer(worker, lambda version, window: field.answers.__setitem__(worker, (version, window)))
+        return worker in field.answers
+
+    assert ask("slow")
+    field.now += 300.0
+    assert ask("slow")
+    for _ in range(8):
+        assert ask("fast")
+        field.now += 1.0
+    assert not ask("waiting")
+    for seconds, answered in ((STALL_MOST, False), (3.0, True)):
+        field.now += seconds
+        field.room.open(0, 1000, updating=False)
+        assert ("waiting" in field.answers) == answered
+    assert field.room.given_up == 2

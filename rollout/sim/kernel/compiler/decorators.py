@@ -19,7 +19,10 @@ from typing import Any, Final, TypeVar, cast
 
 import numba
 
+from eia_sec.common.compiled_code import require_cache
 from eia_sec.rollout.sim.kernel.compiler.copies import Compiler
+
+require_cache()
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
