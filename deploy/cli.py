@@ -62,9 +62,11 @@ COMMANDS: Final = {
     "logs": Command("eia_sec.deploy.commands.fleet.logs", "show the logs of a fleet"),
     "fleet": Command(
         "eia_sec.deploy.commands.fleet.fleet",
-        "check a fleet file, make keys, collect histories, render units and manifests",
+        "check a fleet file, make keys, collect histories, move the learner, render units",
     ),
-    "host": Command("eia_sec.deploy.commands.fleet.host", "internal: up, down, status and logs call it on each host"),
+    "host": Command(
+        "eia_sec.deploy.commands.fleet.host", "internal: up, down, status, logs and fleet call it on each host"
+    ),
     "alive": Command(
         "eia_sec.deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),

@@ -19,12 +19,14 @@ ANYBODY: Final = "anybody"
 """Every process whose certificate the authority signed, on the list of members or not."""
 
 RIGHTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "put": (("put",), ("declare_subscriber",)),
+    "put": (("put",), ()),
     "read": (("declare_subscriber",), ("put",)),
-    "ask": (("query",), ("reply", "declare_queryable")),
+    "ask": (("query",), ("reply",)),
     "answer": (("declare_queryable", "reply"), ("query",)),
     "appear": (("liveliness_token",), ()),
     "watch": (("declare_liveliness_subscriber", "liveliness_query"), ("liveliness_token",)),
+    "see readers": ((), ("declare_subscriber",)),
+    "see servers": ((), ("declare_queryable",)),
     "repeat": (("reply",), ()),
     "recall": ((), ("reply",)),
 }
@@ -33,6 +35,9 @@ RIGHTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 No right allows a `delete` in either direction. The last two exist only for states: a late joiner asks on the helper
 keys, and the answer arrives on the state's own key."""
 
+_SEES: Final = {"put": "see readers", "ask": "see servers"}
+"""The right that comes with another, on all keys of the family: a Zenoh publisher stays silent until it learns that
+somebody subscribes, and a reader of the whole run subscribes to all of them at once."""
 _HISTORY: Final[dict[str, tuple[str, ...]]] = {"put": ("put", "answer", "appear"), "read": ("read", "ask", "watch")}
 """Rights on a state's helper keys, which Zenoh uses to serve the latest value to late joiners and to detect gaps."""
 _LATE: Final = {"put": "repeat", "read": "recall"}
@@ -62,13 +67,16 @@ class Grant:
     def expressions(self, name: str, run: str = "*") -> list[tuple[str, str]]:
         """Return the (right, key expression) pairs of a holder of this name, a state's helper keys included."""
         given = {key: name if value == NAME else value for key, value in self.variables.items()}
-        pattern = self.family.pattern("run", **given)
-        pattern = pattern.replace(f"{keys.ROOT}/run/", f"{keys.ROOT}/{run}/", 1)
-        found = [(self.right, pattern)]
+        narrow, wide = (
+            pattern.replace(f"{keys.ROOT}/run/", f"{keys.ROOT}/{run}/", 1)
+            for pattern in (self.family.pattern("run", **given), self.family.pattern("run"))
+        )
+        found = [(self.right, "")]
         if self.family.delivery == "state":
-            found += [(right, f"{pattern}/@adv/**") for right in _HISTORY[self.right]]
-            found.append((_LATE[self.right], pattern))
-        return found
+            found += [(right, "/@adv/**") for right in _HISTORY[self.right]]
+            found.append((_LATE[self.right], ""))
+        seen = [(_SEES[right], wide + ending) for right, ending in found if right in _SEES]
+        return [(right, narrow + ending) for right, ending in found] + seen
 
 
 def _own(role: str) -> tuple[Grant, ...]:

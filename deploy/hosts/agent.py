@@ -12,13 +12,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from eia_sec.common.config.files import differences, method_of
+from eia_sec.common.config.presets import read_saved
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
+from eia_sec.deploy.hosts.learner_move import RUN, holding
 from eia_sec.deploy.hosts.plan import ORDER
 from eia_sec.deploy.local import contained_files
 from eia_sec.deploy.local.file_ends import last_lines
-from eia_sec.deploy.local.run_directory import HISTORY, RunDirectory
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take up a plan."""
@@ -49,7 +52,7 @@ def up(
         processes: for each name, arguments and threads.
         files: texts by path in the folder; readable by the owner only.
         start: how to start the keeper, "detached" or "systemd".
-        again: whether to restart processes that have finished, too; False when the run is over.
+        again: whether to start what does not run; False when the run is over.
 
     Returns:
         What `status` returns, and "over": whether the learner runs on this host and has finished the run.
@@ -63,8 +66,8 @@ def up(
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
             contained_files.write(folder, name, text.encode())
-        (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
-        over = _is_over(folder, processes)
+        (folder / RUN / HISTORY).mkdir(parents=True, exist_ok=True)
+        over = LEARNER in processes and _is_over(folder)
         plan = keeper.new_plan(processes, again=again and not over)
         write_json(folder / PLAN, plan)
     except OSError as error:
@@ -123,13 +126,18 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
 
 
 def status(folder: Path) -> dict[str, Any]:
-    """Return the keeper's process id, the state of its processes, and its alarms."""
+    """Return the keeper's process id, the state of its processes, its alarms, and what it holds of a run."""
     if not folder.is_dir():
-        return {"keeper": 0, "processes": {}, "alarms": []}
+        return {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing"}
     state = read_json(folder / STATE)
     alive = keeper.is_kept(folder)
     processes = state.get("processes", {}) if alive else {}
-    return {"keeper": state.get("pid", 0) if alive else 0, "processes": processes, "alarms": state.get("alarms", [])}
+    return {
+        "keeper": state.get("pid", 0) if alive else 0,
+        "processes": processes,
+        "alarms": state.get("alarms", []),
+        "holds": holding(folder),
+    }
 
 
 def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:
@@ -143,10 +151,16 @@ def log_files(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     return {name: path for name, path in found.items() if not names or name in names}
 
 
-def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
-    """Return whether the plan starts the learner as before, and that learner has finished its run."""
-    before, wanted = read_json(folder / PLAN).get("processes", {}).get(LEARNER), processes.get(LEARNER)
-    return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
+def _is_over(folder: Path) -> bool:
+    """Return whether the learner has finished the run that the folder's configuration describes.
+
+    With another configuration the learner is to start, and says what differs.
+    """
+    run = RunDirectory(folder / RUN)
+    if not (run.holds_run() and run.finished()):
+        return False
+    wanted = read_saved(folder / CONFIG)
+    return not differences(method_of(run.configuration()), method_of(wanted))
 
 
 def _await_orphans(folder: Path) -> None:

@@ -152,8 +152,10 @@ class Keeper:
         self._warned.pop(PLAN, None)
         for name in self._wanted:
             child = self._supervisor.children.get(name)
+            if not again:  # what does not run by now has no work left
+                self._started.setdefault(name, self._wanted[name])
             # A new plan may mean that the user has fixed a problem, so processes that were given up are tried again.
-            if child is not None and child.process is None and (child.given_up or (again and child.done)):
+            elif child is None or (child.process is None and (child.given_up or child.done)):
                 self._started.pop(name, None)
 
     def _warn(self, file: str, text: str) -> None:
@@ -181,7 +183,8 @@ class Keeper:
 
     def _write_state(self) -> None:
         """Write the state if it has changed; a full disk raises an alarm, and the processes go on."""
-        children = {name: self._state(name, child) for name, child in self._supervisor.children.items()}
+        names = {**dict.fromkeys(self._started), **self._supervisor.children}
+        children = {name: self._state(name, child) for name, child in names.items()}
         kept = {name: state for name, state in children.items() if name in self._wanted or state["pid"]}
         state = {
             "pid": os.getpid(),
@@ -199,17 +202,19 @@ class Keeper:
             self._written = state
             self._warned.pop(STATE, None)
 
-    def _state(self, name: str, child: Child) -> dict[str, Any]:
-        pid = child.process.pid if child.process is not None and _alive(child) else 0
+    def _state(self, name: str, child: Child | None) -> dict[str, Any]:
+        """Return the state of a process; one that a finished run did not start again has no child."""
+        pid = child.process.pid if child is not None and child.process is not None and _alive(child) else 0
         if self._since.get(name, (-1, 0.0))[0] != pid:
             self._since[name] = (pid, time.time())
         if pid:
             word = "running" if name in self._started else "stopping"
-        elif child.given_up:
+        elif child is not None and child.given_up:
             word = "given up"
         else:
-            word = "finished" if child.done else "restarting"
-        return {"state": word, "pid": pid, "since": self._since[name][1], "deaths": child.deaths, "code": child.code}
+            word = "finished" if child is None or child.done else "restarting"
+        deaths, code = (0, 0) if child is None else (child.deaths, child.code)
+        return {"state": word, "pid": pid, "since": self._since[name][1], "deaths": deaths, "code": code}
 
 
 def _alive(child: Child) -> bool:
@@ -236,6 +241,6 @@ def new_plan(processes: Mapping[str, dict[str, Any]], *, again: bool) -> dict[st
 
     Args:
         processes: what should run.
-        again: whether to restart processes that have finished.
+        again: whether to start what does not run: processes that have finished or were given up, and new ones.
     """
     return {"issue": time.time_ns(), "processes": dict(processes), "again": again}

@@ -14,12 +14,16 @@ from eia_sec.common.transport import credentials
 from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.learner_move import HOLDINGS, MAX_ARCHIVE
 from eia_sec.deploy.hosts.plan import ORDER, Process, here, processes
 from eia_sec.deploy.hosts.remote import Link, everywhere, links
+from eia_sec.deploy.hosts.run_holders import require_one_run, source_of_move
 from eia_sec.deploy.security import authority
 
 Failures = dict[str, str]
 """The reason for each host that failed."""
+MOVE_SECONDS: Final = 3600.0
+"""Longest time for a learner's files to leave a host, and to come to another."""
 
 
 def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
@@ -30,10 +34,13 @@ def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
 
     Raises:
         CredentialsError: a certificate is missing or cannot be used; nothing has been started.
+        UsageError: another host holds the run, so that the learner would begin it anew; nothing has been started.
+        HostError: a host that may hold the run was not reached; nothing has been started.
     """
     requests = {name: request_of(fleet, name) for name in fleet.hosts}
     first = fleet.learner.host
     with links(fleet) as ways:
+        require_one_run(fleet, *everywhere(ways, partial(_state, verb="status", request={})))
         # The learner's host comes first, because it knows whether the run is over and workers are not needed.
         states, failed = everywhere({first: ways[first]}, lambda link: _state(link, "up", requests[link.name]))
         again = not any(state.get("over") for state in states.values())
@@ -102,6 +109,51 @@ def down(fleet: FleetSpec, seconds: float, kill: bool) -> tuple[list[str], list[
     return ended, left, failed
 
 
+def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
+    """Stop a fleet and move the run to the host that the fleet file names for the learner; `up` continues it there.
+
+    An interrupted move is completed by the next one.
+
+    Args:
+        fleet: the fleet; the host that the run leaves is still one of its hosts.
+        seconds: how long to wait for the processes of each role to stop.
+
+    Returns:
+        A sentence for each thing that was done.
+
+    Raises:
+        UsageError: no host holds the run, or several do.
+        HostError: a host was not reached or failed, or a process did not stop.
+    """
+    target = fleet.learner.host
+    with links(fleet) as ways:
+        states, failed = everywhere(ways, partial(_state, verb="status", request={}))
+        _require_all(failed)
+        source, left = source_of_move(fleet, states)
+    done = []
+    if source:
+        ended, running, failed = down(fleet, seconds, kill=False)
+        _require_all(failed)
+        if running:
+            raise HostError(f"{running[0]} is still running after {seconds:g} s; nothing was moved.")
+        done += [f"{name} has stopped." for name in ended]
+    with links(fleet) as ways:
+        if source:
+            with ways[source].fetch("release", seconds=MOVE_SECONDS, most=MAX_ARCHIVE) as packed:
+                ways[target].fetch("take-in", packed, seconds=MOVE_SECONDS).close()
+            done.append(f"run {fleet.run} has moved from {source} to {target}.")
+        for host in (*left, *([source] if source else ())):
+            kept = ways[host].call("forget", {}).get("kept")
+            done.append(f"{host} keeps its copy in {kept}; nothing needs it any more.")
+    return done
+
+
+def _require_all(failed: Failures) -> None:
+    """Raise HostError for the first host that failed."""
+    for reason in failed.values():
+        raise HostError(reason)
+
+
 def status(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Return the state of each host that was reached, and the reason for each that was not."""
     with links(fleet) as ways:
@@ -126,6 +178,7 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
         type(state.get("keeper")) is int
         and isinstance(alarms, list)
         and all(isinstance(alarm, str) for alarm in alarms)
+        and state.get("holds") in HOLDINGS
         and isinstance(processes, dict)
         and all(isinstance(process, dict) and _is_process(process) for process in processes.values())
     ):

@@ -84,12 +84,14 @@ class Link:
             raise HostError(f"{self.name}: its answer is not a JSON object.")
         return answer
 
-    def fetch(self, verb: str, request: bytes = b"", seconds: float = 0.0, most: int = MAX_ANSWER) -> IO[bytes]:
+    def fetch(
+        self, verb: str, request: bytes | IO[bytes] = b"", seconds: float = 0.0, most: int = MAX_ANSWER
+    ) -> IO[bytes]:
         """Call a verb of `eia-sec host` and return a file with its answer, which may not fit into memory.
 
         Args:
             verb: see `eia_sec.deploy.commands.fleet.host`.
-            request: its arguments.
+            request: its arguments, or an open file with what it is to read.
             seconds: how long the host is meant to wait.
             most: longest answer, bytes.
 
@@ -97,11 +99,14 @@ class Link:
             HostError: the host cannot be reached, has no eia-sec, failed, or answers too much.
         """
         command = self._command(verb)
-        with ExitStack() as files:
-            asked, said = files.enter_context(tempfile.TemporaryFile()), files.enter_context(tempfile.TemporaryFile())
-            answer = files.enter_context(tempfile.TemporaryFile())
-            asked.write(request)
-            asked.seek(0)
+        with ExitStack() as files, ExitStack() as kept:
+            said, answer = files.enter_context(tempfile.TemporaryFile()), kept.enter_context(tempfile.TemporaryFile())
+            if isinstance(request, bytes):
+                asked: IO[bytes] = files.enter_context(tempfile.TemporaryFile())
+                asked.write(request)
+                asked.seek(0)
+            else:
+                asked = request
             try:
                 process = subprocess.Popen(command, stdin=asked, stdout=answer, stderr=said)
             except OSError as error:
@@ -111,9 +116,7 @@ class Link:
                 said.seek(0)
                 raise HostError(f"{self.name}: {self._reason(code, said.read())}")
             answer.seek(0)
-            files.pop_all()
-            asked.close()
-            said.close()
+            kept.pop_all()
             return answer
 
     def _wait(self, process: "subprocess.Popen[bytes]", seconds: float, files: Sequence[tuple[IO[bytes], int]]) -> int:

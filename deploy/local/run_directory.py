@@ -114,11 +114,21 @@ class RunDirectory:
             if self._folder is not None:
                 _lock_folder(self._folder)
         except OSError as error:
+            self.unlock()
             raise RunDirError(f"{self.path} is in use by another process.") from error
         with suppress(OSError):  # the number only helps whoever looks for the owner; a full disk may lack room for it
             self._lock.truncate(0)
             self._lock.write(str(os.getpid()))
             self._lock.flush()
+
+    def unlock(self) -> None:
+        """End what `lock` reserved before the process does."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+        if self._folder is not None:
+            os.close(self._folder)
+            self._folder = None
 
     def adopt(self, config: RunConfig) -> None:
         """Store a configuration that `prepare` has accepted; the folder must be locked."""

@@ -54,7 +54,7 @@ def audited(tmp_path: Path) -> Iterator[Audited]:
 
 
 def test_a_run_with_certificates_finishes_and_denies_who_is_not_listed(audited, keys_folder, tmp_path):
-    """Learner, coordinator and worker finish; a worker that was struck says that it is denied; none unpickles."""
+    """All finish, a late monitor sees them, a worker that was struck says that it is denied; none unpickles."""
     (tmp_path / "wanted.toml").write_text(TINY)
     endpoint, tls = str(free_endpoint()), lambda name: ("--tls", str(keys_folder / name))
     joining = ("--run", RUN, "--connect", endpoint)
@@ -65,12 +65,16 @@ def test_a_run_with_certificates_finishes_and_denies_who_is_not_listed(audited, 
     assert audited.await_line("unlisted", "denied: "), audited.log("unlisted") + audited.log("learner")
     for part in ("the learner of run test is alive", "rollout.unlisted (certificate", "access list denies"):
         assert part in audited.log("unlisted")
+    # The learner has published reports for a while; the monitor's subscription covers all names of the run.
+    audited.start("monitor", "monitor", *joining, "--refresh", "0.2", *tls("monitor.m"))
+    assert audited.await_line("monitor", "episode 0 of 8"), audited.log("monitor")
     audited.start("elite", "elite", *joining, *tls("elite.coordinator"))
     audited.start("worker", "rollout", *joining, *tls("rollout.a"))
     for name in ("learner", "elite", "worker"):
         assert audited.running[name].wait(SECONDS) == 0, audited.log(name)
         assert "UNPICKLED" not in audited.log(name)
         assert "denied" not in audited.log(name)
+    assert "denied" not in audited.log("monitor").partition("episode 0 of 8")[2]
 
 
 @pytest.mark.parametrize(

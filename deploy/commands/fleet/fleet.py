@@ -1,4 +1,4 @@
-"""`eia-sec fleet`: check a fleet file, make its keys, collect its histories, render units and manifests."""
+"""`eia-sec fleet`: check a fleet file, make its keys, collect its histories, move its learner, render units."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from eia_sec.common.config.checks import within
 from eia_sec.common.text import printable, printable_lines
+from eia_sec.deploy.commands.fleet.status import show
 from eia_sec.deploy.exit_codes import DONE, FAILED
 from eia_sec.deploy.hosts import operations
 from eia_sec.deploy.hosts.fleet_file import read
@@ -49,6 +51,16 @@ class CollectArguments:
 
 
 @dataclass(frozen=True)
+class MoveLearnerArguments:
+    """Move the run to the host that [learner] now names: stop the fleet, copy checkpoints and history, and continue."""
+
+    file: File = Path("fleet.toml")
+    """The fleet file; the host that the run leaves is still among its hosts."""
+    wait: float = 60.0
+    """Seconds to wait for the workers, then for the coordinator, the learner and the router in turn."""
+
+
+@dataclass(frozen=True)
 class RenderArguments:
     """Write the files that start the same fleet with systemd, Compose or Kubernetes; existing files are replaced."""
 
@@ -62,12 +74,13 @@ class RenderArguments:
 
 @dataclass(frozen=True)
 class FleetArguments:
-    """Check a fleet file, make its keys, collect its histories, or render units and manifests."""
+    """Check a fleet file, make its keys, collect its histories, move its learner, or render units and manifests."""
 
     task: Annotated[
         Annotated[CheckArguments, tyro.conf.subcommand("check")]
         | Annotated[KeysArguments, tyro.conf.subcommand("keys")]
         | Annotated[CollectArguments, tyro.conf.subcommand("collect")]
+        | Annotated[MoveLearnerArguments, tyro.conf.subcommand("move-learner")]
         | Annotated[RenderArguments, tyro.conf.subcommand("render")],
         tyro.conf.arg(name=""),
     ]
@@ -94,10 +107,22 @@ def command(arguments: Sequence[str]) -> int:
         for path in left_over(fleet, task.form, task.out, written):
             console.print(f"no longer in the fleet; delete it: {printable(str(path))}")
         return DONE
+    if isinstance(task, MoveLearnerArguments):
+        within(0.0, 86_400.0, wait=task.wait)
+        for sentence in operations.move_learner(fleet, task.wait):
+            console.print(printable_lines(sentence))
+        states, failed = operations.up(fleet)
+        show(fleet, states, failed)
+        return FAILED if failed else DONE
     found = collect(fleet, task.out)
     console.print(f"{found.files} files in {task.out}; check them with: eia-sec audit {task.out}")
     for name in found.left_out:
         console.print(f"skipped, because it does not belong to that host: {printable(name)}")
+    for host in found.strays:
+        console.print(
+            f"{host} holds learner's files of run {fleet.run}, and [learner] names {fleet.learner.host}: they were not "
+            f"collected; `eia-sec fleet move-learner {task.file}` moves them."
+        )
     for sentence in found.failed.values():
         console.print(printable_lines(sentence))
-    return FAILED if found.failed else DONE
+    return FAILED if found.failed or found.strays else DONE

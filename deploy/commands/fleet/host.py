@@ -1,4 +1,4 @@
-"""`eia-sec host`: the remote end of `eia-sec up`, `down`, `status` and `logs`, which call it over SSH."""
+"""`eia-sec host`: the remote end of `eia-sec up`, `down`, `status`, `logs` and `fleet`, which call it over SSH."""
 
 import json
 import sys
@@ -11,7 +11,7 @@ import tyro
 
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.exit_codes import DONE
-from eia_sec.deploy.hosts import agent
+from eia_sec.deploy.hosts import agent, learner_move
 from eia_sec.deploy.hosts.history_collection import pack
 from eia_sec.deploy.hosts.keeper import keep
 from eia_sec.deploy.hosts.log_stream import follow
@@ -26,10 +26,13 @@ class HostArguments:
     """Act in one host's folder. The request is JSON on standard input, the answer JSON on standard output."""
 
     verb: Annotated[
-        tyro.conf.Positional[Literal["up", "down", "status", "logs", "follow", "collect", "keep"]],
+        tyro.conf.Positional[
+            Literal["up", "down", "status", "logs", "follow", "collect", "release", "take-in", "forget", "keep"]
+        ],
         tyro.conf.arg(metavar="VERB"),
     ]
-    """up, down, status, logs, follow, collect, or keep, which stays and supervises the processes."""
+    """up, down, status, logs, follow, collect, release, take-in, forget (the learner's files on their way to another
+    host), or keep, which stays and supervises the processes."""
     folder: Path = Path()
     """The host's folder."""
 
@@ -43,6 +46,12 @@ def command(arguments: Sequence[str]) -> int:
         return DONE
     if options.verb == "collect":
         pack(folder, sys.stdout.buffer)
+        return DONE
+    if options.verb == "release":
+        learner_move.release(folder, sys.stdout.buffer)
+        return DONE
+    if options.verb == "take-in":
+        learner_move.take_in(folder, sys.stdin.buffer)
         return DONE
     if options.verb == "follow":
         follow(folder, sys.stdin.buffer, sys.stdout.buffer)
@@ -75,4 +84,6 @@ def _answer(verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
         return agent.down(folder, request["roles"], float(request["seconds"]), bool(request["kill"]))
     if verb == "logs":
         return agent.logs(folder, request["names"], int(request["lines"]))
+    if verb == "forget":
+        return {"kept": learner_move.forget(folder)}
     return agent.status(folder)

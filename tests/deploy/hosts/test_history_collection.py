@@ -12,9 +12,11 @@ import pytest
 
 from eia_sec.common.errors import ConfigError, HostError, UsageError
 from eia_sec.deploy.cli import dispatch
+from eia_sec.deploy.hosts import archive as archives
 from eia_sec.deploy.hosts import history_collection, operations, remote
+from eia_sec.deploy.hosts.archive import unpack
 from eia_sec.deploy.hosts.fleet_file import FleetSpec, Host, LearnerSpec, read
-from eia_sec.deploy.hosts.history_collection import own_names, pack, unpack
+from eia_sec.deploy.hosts.history_collection import own_names, pack
 from eia_sec.deploy.hosts.remote import Link
 
 FLEET = FleetSpec(learner=LearnerSpec("one"), hosts={"one": Host(), "one-1": Host()})
@@ -50,7 +52,7 @@ def test_what_is_packed_comes_out(tmp_path):
     (run / "history").mkdir(parents=True)
     wanted = {
         "history/learner.jsonl": b"[1]\n",
-        "history/rollout-one-0.jsonl": os.urandom(3 * history_collection.PIECE // 2),
+        "history/rollout-one-0.jsonl": os.urandom(3 * archives.PIECE // 2),
         "metrics.jsonl": b"",
         "policy.safetensors": bytes(513),
     }
@@ -115,7 +117,7 @@ def test_what_is_no_archive_of_ours_is_refused(tmp_path, data, said):
 @pytest.mark.parametrize(("name", "limit"), [("MAX_UNPACKED", 1500), ("MAX_FILES", 1)])
 def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, name, limit):
     """By bytes and by files, before they are written."""
-    monkeypatch.setattr(history_collection, name, limit)
+    monkeypatch.setattr(archives, name, limit)
     with pytest.raises(HostError, match="more than"):
         brought(tmp_path, archive(("config.toml", bytes(1000)), ("metrics.jsonl", bytes(1000))))
     assert not (tmp_path / "metrics.jsonl").exists()
@@ -181,7 +183,7 @@ def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, answer):
 def test_what_a_host_reports_commands_no_terminal(tmp_path, monkeypatch, capsys):
     """Names, states, alarms and lines of logs are printed without control characters."""
     process = {"state": "up\x1b[2J", "pid": 1, "deaths": 0, "since": 0, "code": None}
-    state = {"keeper": 1, "processes": {"rollout.\x1b[2J": process}, "alarms": ["bad\x1b[2J"]}
+    state = {"keeper": 1, "holds": "run", "processes": {"rollout.\x1b[2J": process}, "alarms": ["bad\x1b[2J"]}
     answers = {"status": state, "logs": {"a\x1b[2J": "line\x1b[2J\nnext\tline"}}
     monkeypatch.setattr(Link, "call", lambda link, verb, request, seconds=0.0: answers[verb])
     fleet = one_host(tmp_path)

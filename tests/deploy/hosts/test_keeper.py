@@ -7,9 +7,12 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 
+from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.hosts import agent, keeper
 from eia_sec.deploy.hosts.keeper import PLAN, STATE, Keeper, new_plan, write_json
@@ -165,15 +168,24 @@ def test_a_process_that_ends_by_itself_is_no_failure_of_kill(tmp_path, monkeypat
     [("finished", False, True), ("finished", True, False), ("draining", False, False), (None, False, False)],
 )
 def test_a_run_that_came_to_its_end_is_over(tmp_path, metrics, changed, over):
-    """So it is while its learner is to run as it ran before; a drained one goes on."""
-    learner = {"arguments": ["learner"], "threads": 1}
-    write_json(tmp_path / PLAN, new_plan({agent.LEARNER: learner}, again=True))
+    """So it is while its configuration is wanted; a drained one goes on, and with another one the learner objects."""
+    config = preset("quick")
     os.makedirs(tmp_path / "run")
+    (tmp_path / "run" / "config.toml").write_text(to_toml(config))
+    (tmp_path / "config.toml").write_text(to_toml(replace(config, seed=config.seed + changed)))
     if metrics is not None:
         (tmp_path / "run" / "metrics.jsonl").write_text(json.dumps({"kind": "end", "state": metrics}) + "\n")
-    wanted = {agent.LEARNER: {**learner, "threads": 2} if changed else learner}
-    assert agent._is_over(tmp_path, wanted) is over
-    assert not agent._is_over(tmp_path, {"rollout.a": learner})
+    assert agent._is_over(tmp_path) is over
+
+
+def test_a_plan_that_starts_nothing_leaves_what_is_new_alone(kept, tmp_path):
+    """A worker that a finished run's fleet file names anew is not started, and runs with the next plan that starts."""
+    plan(tmp_path, again=False, a=LONG)
+    turn(kept, 2)
+    assert states(tmp_path) == {"rollout.a": "finished"}
+    plan(tmp_path, a=LONG)
+    turn(kept)
+    until_state(kept, tmp_path, "rollout.a", "running")
 
 
 @pytest.mark.parametrize(("place", "awaited"), [(".", True), ("..", False)])
