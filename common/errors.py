@@ -6,13 +6,16 @@ EiaSecError
 │   ├── EndpointError          an endpoint that is in use, dead or malformed
 │   │   └── CredentialsError   a certificate or key that is missing, readable by others, expired or of another process
 │   ├── RunDirError            a run directory that is missing, in use or of another configuration
-│   └── PolicyError            a policy name or file that cannot be used
+│   ├── PolicyError            a policy name or file that cannot be used
+│   ├── ContractError          an environment that does something else than PettingZoo asks for
+│   └── EnvironmentFaultError  an exception in a user's environment, with its traceback
 ├── ProtocolError              received data that violates the protocol
 │   ├── FrameError             bytes that are not a frame: truncated, corrupted, oversized
 │   ├── SchemaError            a frame whose fields have the wrong type, shape or range
 │   ├── VersionError           another protocol version or another team layout
 │   └── KeyExpressionError     a key that no declaration covers
 ├── SimulationError            a simulated farm used against its contract
+├── EnvironmentOutageError     a simulator or robot that is away for a while, as its environment says
 ├── CancelledError             work that was given up because its process ends
 ├── HostError                  a host of a fleet that cannot be reached, or on which a command failed
 ├── CheckpointError            a checkpoint that is truncated, corrupted or of another layout
@@ -50,6 +53,14 @@ class PolicyError(UsageError):
     """A policy name that does not exist or a policy file that cannot be used."""
 
 
+class ContractError(UsageError):
+    """An environment that does something else than PettingZoo asks for."""
+
+
+class EnvironmentFaultError(UsageError):
+    """An exception in a user's environment; the message holds the traceback of the user's own code."""
+
+
 class ProtocolError(EiaSecError):
     """Received data that violates the protocol."""
 
@@ -74,6 +85,13 @@ class SimulationError(EiaSecError):
     """A simulated farm used against its contract: stepped beyond its end, or with impossible actions."""
 
 
+class EnvironmentOutageError(EiaSecError):
+    """An environment's simulator or robot is away for a while.
+
+    Environments raise it in `reset` or `step`. A worker ends the episode and tries again until it is back.
+    """
+
+
 class CancelledError(EiaSecError):
     """Work that was given up because its process ends."""
 
@@ -96,3 +114,7 @@ class BusClosedError(BusError):
 
 class ForkedProcessError(BusError):
     """A session used in a process other than the one that opened it."""
+
+
+class TerminatedError(SystemExit):
+    """SIGTERM in a process that does not handle it: it unwinds, so that everything is closed."""

@@ -21,6 +21,8 @@ from eia_sec.common.names import check_name
 
 Float32 = NDArray[np.float32]
 
+MOST_NUMBERS: Final = 65_536
+"""Most numbers in one agent's observation or action."""
 MOST_OPTIONS: Final = 65_536
 """Most options of one branch; their indices are exact in 32-bit floats."""
 MOST_BRANCHES: Final = 4096
@@ -56,7 +58,7 @@ class GroupSpec:
         """Refuse invalid names, empty types, impossible choices, and adapters that do not fit the sizes."""
         check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
-        within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
+        within(1, MOST_NUMBERS, observation_size=self.observation_size, action_size=self.action_size)
         for options in self.choices:
             within(1, MOST_OPTIONS, options=options)
         if self.choices and len(self.choices) != self.action_size:

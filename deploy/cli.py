@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Final, NoReturn
 
-from eia_sec.common.errors import UsageError
+from eia_sec.common.errors import TerminatedError, UsageError
 from eia_sec.common.log import FORMAT, FORMATS
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.local.memory import keep_freed_memory
@@ -126,7 +126,7 @@ def dispatch(arguments: list[str]) -> int:
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    raise SystemExit(128 + number)
+    raise TerminatedError(128 + number)
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.messages import ConfigurationMessage
 from eia_sec.common.team import TeamSpec
@@ -28,7 +29,6 @@ from eia_sec.learner.control.epoch import SuccessorWatch, next_epoch
 from eia_sec.learner.control.imitation_server import ImitationServer
 from eia_sec.learner.control.membership import Membership
 from eia_sec.learner.control.parameter_publisher import ParameterPublisher
-from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits

@@ -27,9 +27,14 @@ class EnvConfig:
     steps: int = 0
     """Steps after which an episode is truncated; 0 leaves truncation to the environment."""
 
+    step_timeout: float = 0.0
+    """Seconds after which a worker whose environment has not returned from a call ends, for its supervisor to replace
+    it; 0 waits for ever."""
+
     def __post_init__(self) -> None:
         """Refuse names and arguments that cannot be read."""
         within(0, 1_000_000, steps=self.steps)
+        within(0.0, 1e6, step_timeout=self.step_timeout)
         module, colon, member = self.name.partition(":")
         parts = [*module.split("."), *member.split(".")] if colon else [self.name]
         if not all(part.isidentifier() for part in parts):

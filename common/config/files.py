@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, switched
 from eia_sec.common.config.effect import without_effect
+from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm.polygons import MAX_CORNERS
 from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites
 from eia_sec.common.config.farm.stress import MAX_AREAS, Area, Areas
@@ -41,6 +42,7 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.start_policy": "",
     "algorithm.suggestion_logits": "",
     "algorithm.value_steps": 0,
+    "env.step_timeout": 0.0,
     "farm.battery.capacity": 0.0,
     "farm.battery.failsafe": 0.0,
     "farm.battery.landing": 5.0,
@@ -215,11 +217,12 @@ def digest(config: RunConfig) -> str:
 
 
 def method_of(config: RunConfig) -> RunConfig:
-    """Return the configuration without the sections that a resumed run may change: `learner` and `evaluation`.
+    """Return the configuration without what a resumed run may change: `learner`, `evaluation` and `env.step_timeout`.
 
     They affect a run's speed, rounding and final evaluation, but not what is trained.
     """
-    return dataclasses.replace(config, learner=LearnerConfig(), evaluation=EvaluationConfig())
+    env = dataclasses.replace(config.env, step_timeout=EnvConfig.step_timeout)
+    return dataclasses.replace(config, env=env, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
 
 def format_value(value: Value | Area) -> str:

@@ -17,6 +17,7 @@ MOST_BYTES: Final = 2 * 2**20
 """Most bytes of chunks in one delivery; a single chunk may be larger."""
 SETTLED: Final = ("accepted", "duplicate", "refused")
 """Verdicts after which a worker drops a chunk; after any other it keeps the chunk."""
+EPSILON: Final = float(np.finfo(np.float32).eps)
 MOST_COUNT = 2**48
 """Largest accepted count of steps or chunks; at a million steps per second it takes nine years to reach."""
 
@@ -93,7 +94,8 @@ def from_message(
         raise SchemaError("the finished episodes' arrays fit neither each other nor the rows.")
     if count and not 1 <= message.steps.min() <= message.steps.max() <= MOST_COUNT:
         raise SchemaError("a finished episode has no steps, or impossibly many.")
-    most = LARGEST * message.steps[:, None].astype(np.float64)
+    # Sums are rounded to 32-bit floats.
+    most = LARGEST * (1.0 + EPSILON) * message.steps[:, None].astype(np.float64)
     if not (
         (np.abs(message.episode_reward) <= most).all() and (np.abs(message.episode_metrics) <= team.agents * most).all()
     ):

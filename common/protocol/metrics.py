@@ -156,6 +156,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("malformed", "messages", "unreadable messages, dropped"),
         Metric("paused", "", "why its actors are too old to simulate with, or empty"),
         Metric("paused_seconds", "s", "time for which its actors were too old"),
+        Metric("outages", "", "times that an environment's simulator or robot went away"),
         Metric("watchers", "", "number of watchers now"),
         Metric("shown", _STEPS, "steps published to watchers"),
         Metric("skipped", _STEPS, "steps simulated while somebody watched, but not published"),

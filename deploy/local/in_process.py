@@ -5,6 +5,7 @@ bit-equal to those of a distributed lockstep run.
 """
 
 from collections.abc import Callable
+from contextlib import closing
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import with_values
@@ -34,7 +35,11 @@ def train_in_process(
         The trainer with its final actors.
     """
     config = with_values(config, {"learner.update_threads": 1})
-    collector = Collector(config, WORKER, 0)
+    with closing(Collector(config, WORKER, 0)) as collector:
+        return _train(config, collector, watch)
+
+
+def _train(config: RunConfig, collector: Collector, watch: Callable[[Trainer, Chunk], None]) -> Trainer:
     trainer = make_trainer(config, collector.team)
     if start := start_parameters(config, trainer.team):
         trainer.begin_with(start)

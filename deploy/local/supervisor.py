@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -54,8 +55,19 @@ class Child:
     restart_arguments: list[str] = field(default_factory=list)
 
 
+def _ended_with(process: subprocess.Popen[bytes]) -> int | None:
+    """Return a child's exit code, or None while it runs; what it has left in its process group is killed."""
+    before, code = process.returncode, process.poll()
+    if before is None and code is not None:
+        with suppress(ProcessLookupError, PermissionError):  # the latter where only zombies are left, on macOS
+            os.killpg(process.pid, signal.SIGKILL)
+    return code
+
+
 class Supervisor:
     """Starts commands in sessions of their own and restarts those that die.
+
+    An environment may start processes. Those that a child did not end itself are killed once the child is gone.
 
     Args:
         logs: folder for one log file per child.
@@ -85,8 +97,8 @@ class Supervisor:
     def watch(self) -> None:
         """Check for children that exited, and restart those that should run."""
         for child in self.children.values():
-            if child.process is not None and child.process.poll() is not None:
-                self._ended(child, child.process.returncode)
+            if child.process is not None and (code := _ended_with(child.process)) is not None:
+                self._ended(child, code)
             if child.again_at is not None and time.monotonic() >= child.again_at:
                 child.again_at = None
                 self._spawn(child)
@@ -101,7 +113,8 @@ class Supervisor:
     def stop(self, names: Sequence[str] | None = None, seconds: float = TERMINATE_SECONDS) -> None:
         """Stop children: SIGTERM first, SIGKILL for those that still run after some seconds."""
         chosen = [self.children[name] for name in (self.children if names is None else names)]
-        running = [child.process for child in chosen if child.process is not None and child.process.poll() is None]
+        started = [child.process for child in chosen if child.process is not None]
+        running = [process for process in started if _ended_with(process) is None]
         for child in chosen:
             child.again_at, child.done = None, True
         for number, patience in ((signal.SIGTERM, seconds), (signal.SIGKILL, KILL_SECONDS)):
@@ -110,7 +123,7 @@ class Supervisor:
                     process.send_signal(number)
             deadline = time.monotonic() + patience
             while running and time.monotonic() < deadline:
-                running = [process for process in running if process.poll() is None]
+                running = [process for process in running if _ended_with(process) is None]
                 time.sleep(0.02)
 
     def tail(self, name: str) -> str:

@@ -15,7 +15,7 @@ from eia_sec.learner.trainer import Trainer
 
 DRAIN_SECONDS: Final = 3.0
 """Longest time for which a draining learner takes in chunks that workers still hold."""
-QUIET_SECONDS: Final = 0.5
+QUIET_SECONDS: Final = 1.0
 """Silence after which a draining learner assumes that workers hold no more chunks."""
 LAG_WEIGHT: Final = 0.05
 """Weight of the newest chunk in the moving average of the version lag."""

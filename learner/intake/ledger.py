@@ -196,6 +196,12 @@ class Ledger:
         """Return the next sequence number that this sender should use."""
         return self._ledger(sender).expected
 
+    def produced_before(self, sender: Envelope) -> tuple[int, bool]:
+        """Return the steps that a start had produced with its last booked chunk, and whether that is the one before."""
+        ledger = self._ledger(sender)
+        follows = sender.sequence == ledger.expected and not (ledger.pending_rejected or ledger.pending_gap)
+        return ledger.produced, follows
+
     def totals(self) -> dict[str, int]:
         """Return the sums over all workers and all their starts.
 

@@ -15,6 +15,7 @@ from eia_sec.common.incarnation import plausible
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.frame import Data
 from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
@@ -22,7 +23,7 @@ from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.intake.arrival import Arrival, OwedAnswer
-from eia_sec.learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
+from eia_sec.learner.intake.episode_tracker import EpisodeTracker, provable
 from eia_sec.learner.intake.iteration_room import IterationRoom
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
@@ -255,7 +256,9 @@ class Receiver:
             return status, ""
         try:
             chunk = self._rules.chunk_of(message, self._team)
-            self._rules.check_counts(sender, message.produced, delivery.flown)
+            before, follows = self.ledger.produced_before(sender)
+            counts = chunk.rows.steps, message.produced, delivery.flown
+            self._rules.check_counts(sender, *counts, before, follows=follows)
             since = self._episodes.check(sender, chunk)
         except ProtocolError as error:
             self._bad(sender.name, str(error))
@@ -265,7 +268,6 @@ class Receiver:
         with self.gate:
             sender = replace(sender, version=self.room.version_of(message.version))
             refusal = self.room.refusal(sender.version)
-        counts = chunk.rows.steps, message.produced, delivery.flown
         if refusal:
             self._record_taken("refused", sender, counts, self.ledger.refuse_aged(sender, *counts))
             self._settle(sender, since)

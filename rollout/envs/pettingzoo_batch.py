@@ -1,7 +1,10 @@
 """Any PettingZoo parallel environment with Box, Discrete or MultiDiscrete actions as a batch of environments."""
 
-from collections.abc import Mapping
-from typing import Any
+import itertools
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +12,15 @@ from numpy.typing import NDArray
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.config.environment import MOST_EPISODE_STEPS
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import SimulationError
+from eia_sec.common.errors import EnvironmentOutageError, SimulationError
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32
 from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
+
+T = TypeVar("T")
 
 
 class PettingZooBatch:
@@ -27,6 +33,8 @@ class PettingZooBatch:
         config: the environment's name, and how its agents form types.
         environments: E.
         boxes: whether environments with a choice are asked for boxes; see `make_parallel`.
+        patience: what to do while a simulator or robot is away. With it, an outage in a step truncates the episode, and
+            making and resetting are tried until they succeed. Without it, `EnvironmentOutageError` passes through.
 
     Attributes:
         team: layout of a row, type by type.
@@ -43,15 +51,22 @@ class PettingZooBatch:
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
+        ContractError, EnvironmentFaultError: see `eia_sec.rollout.envs.guard`; this holds for every method.
         SimulationError: there is no environment.
     """
 
-    def __init__(self, config: EnvConfig, environments: int, *, boxes: bool = True) -> None:
+    def __init__(
+        self, config: EnvConfig, environments: int, *, boxes: bool = True, patience: Patience | None = None
+    ) -> None:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
         self._limit = config.steps or MOST_EPISODE_STEPS
-        self._environments = [make_parallel(config, boxes=boxes) for _ in range(environments)]
-        agents = describe(self._environments[0], config.prefixes())
+        self._patience = patience
+        make = partial(make_parallel, config, boxes=boxes)
+        with ExitStack() as made:
+            self._environments = [made.enter_context(closing(self._until_back(make))) for _ in range(environments)]
+            agents = describe(self._environments[0], config.prefixes())
+            self._open = made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
         self._views, self._actions = agents.views, RowActions(agents.actions)
@@ -67,17 +82,14 @@ class PettingZooBatch:
         self._seeds = [(-1, -1)] * environments
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
-        """Start an episode; the environment's seed follows from both seeds.
-
-        Raises:
-            SimulationError: the environment returns values outside its own spaces.
-        """
+        """Start an episode; the environment's seed follows from both seeds."""
+        seed = derive(scenario_seed, episode_seed, "reset") % 2**31
+        observations, infos = self._until_back(partial(self._environments[index].reset, seed))
+        self._observe(index, "reset()", observations, infos)
         self._seeds[index] = (scenario_seed, episode_seed)
-        observations, infos = self._environments[index].reset(seed=derive(scenario_seed, episode_seed, "reset") % 2**31)
         self.time[index] = 0
         self.reward[index] = self._returns[index] = 0.0
         self.terminated[index] = self.ended[index] = False
-        self._observe(index, observations, infos)
 
     def step(self, action: Float32) -> None:
         """Step every environment whose episode is running with actions [E, A] float32.
@@ -86,8 +98,8 @@ class PettingZooBatch:
         ended stand still and earn nothing.
 
         Raises:
-            SimulationError: an environment was never reset or all have ended, the actions have the wrong shape or are
-                not finite, or an environment returns values outside its spaces.
+            SimulationError: an environment was never reset or all have ended, or the actions have the wrong shape or
+                are not finite.
         """
         wanted = (len(self.time), self.team.action_size)
         if action.shape != wanted or not np.isfinite(action).all():
@@ -108,30 +120,54 @@ class PettingZooBatch:
 
     def close(self) -> None:
         """Close all environments."""
-        for environment in self._environments:
-            environment.close()
+        self._open.close()
 
     def _step(self, index: int, row: Float32) -> None:
         environment = self._environments[index]
         present = set(environment.agents)
-        actions = self._actions.by_agent(row, present)
-        observations, rewards, terminations, truncations, infos = environment.step(actions)
-        self.time[index] += 1
+        try:
+            step = environment.step(self._actions.by_agent(row, present))
+        except EnvironmentOutageError as error:
+            self._break_off(index, error)
+            return
         # Some environments go on to name agents that have left.
-        self.reward[index] = [float(rewards.get(name, 0.0)) if name in present else 0.0 for name in self.names]
-        if not np.isfinite(self.reward[index]).all():
-            raise SimulationError(f"the environment's reward is not finite: {rewards}.")
-        self._returns[index] += self.reward[index]
         here = present | set(environment.agents)
-        self._observe(index, {name: seen for name, seen in observations.items() if name in here}, infos)
-        ended = all(terminations.get(name, False) or truncations.get(name, False) for name in here)
+        seen = {name: part for name, part in step.observations.items() if name in here}
+        self._observe(index, "step()", seen, step.infos)
+        self.time[index] += 1
+        self.reward[index] = [step.rewards.get(name, 0.0) for name in self.names]
+        self._returns[index] += self.reward[index]
+        ended = all(step.terminations.get(name, False) or step.truncations.get(name, False) for name in here)
         over = not environment.agents or ended
-        self.terminated[index] = over and all(terminations.get(name, True) for name in present)
+        self.terminated[index] = over and all(step.terminations.get(name, True) for name in present)
         self.ended[index] = over or self.time[index] >= self._limit
 
-    def _observe(self, index: int, observations: Mapping[Any, Any], infos: Mapping[Any, Mapping[str, Any]]) -> None:
-        row = []
-        for name, view in self._views.items():
-            present = name in observations
-            row.append(view.numbers(name, observations[name], infos.get(name, {})) if present else self._absent[name])
+    def _break_off(self, index: int, error: EnvironmentOutageError) -> None:
+        """Truncate the episode with a step that earns nothing and after which the agents see what they saw before."""
+        if self._patience is None:
+            raise error
+        self.time[index] += 1
+        self.reward[index] = 0.0
+        self.terminated[index], self.ended[index] = False, True
+        self._patience(str(error), 0)
+
+    def _until_back(self, attempt: Callable[[], T]) -> T:
+        """Try until there is no outage any more."""
+        for failed in itertools.count(1):
+            try:
+                return attempt()
+            except EnvironmentOutageError as error:
+                if self._patience is None:
+                    raise
+                self._patience(str(error), failed)
+        raise AssertionError
+
+    def _observe(self, index: int, method: str, observations: Mapping[Any, Any], infos: Mapping[Any, Any]) -> None:
+        environment, row = self._environments[index], []
+        with environment.returned(method):
+            for name, view in self._views.items():
+                if name in observations:
+                    row.append(view.numbers(name, observations[name], infos.get(name, {})))
+                else:
+                    row.append(self._absent[name])
         np.concatenate(row, out=self.observation[index])

@@ -13,8 +13,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from eia_sec.common.errors import ConfigError, SimulationError
-from eia_sec.common.team import Float32
+from eia_sec.common.errors import ConfigError, ContractError
+from eia_sec.common.team import MOST_NUMBERS, Float32
+from eia_sec.common.transitions import LARGEST
+from eia_sec.rollout.envs.guard import shown
 
 MASK: Final = "action_mask"
 """Key of a mask in an observation or in an agent's info."""
@@ -67,17 +69,21 @@ class AgentView:
         """Return the observation [size] float32 of an agent that is present.
 
         Raises:
-            SimulationError: observation or mask do not fit the agent's spaces, or are not finite.
+            ContractError: observation or mask do not fit the agent's spaces, or a number is not finite or larger than
+                LARGEST. The sentence goes on from "NAME: METHOD returned", see `Guard.returned`.
         """
         try:
-            flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
-        except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
-            raise SimulationError(f"the observation of agent {name} does not fit its space: {error!r}.") from error
+            with np.errstate(over="ignore", invalid="ignore"):
+                flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
+        except Exception as error:  # parts of a user's observation may raise anything
+            raise _misfit(name, seen, self.space, f": {error!r}") from error
+        if flat.shape != (self.size - sum(self.choices),):
+            raise _misfit(name, seen, self.space, f", but {flat.size} numbers")
+        if not (flat.min(initial=0.0) >= -LARGEST and flat.max(initial=0.0) <= LARGEST):
+            raise _beyond(name, flat)
         if self.masked:
             given = (seen if self.source == "observation" else info).get(MASK)
             flat = np.concatenate([flat, self._legal(name, given)])
-        if flat.shape != (self.size,) or not np.isfinite(flat).all():
-            raise SimulationError(f"the observation of agent {name} does not fit its space or is not finite.")
         return flat
 
     def absent(self) -> Float32:
@@ -91,10 +97,32 @@ class AgentView:
         if given is None:
             return np.ones(options, np.float32)
         parts = given if isinstance(given, tuple | list) else (given,)
-        legal = np.concatenate([np.ravel(np.asarray(part)) for part in parts]).astype(np.bool_)
+        try:
+            legal = np.concatenate([np.ravel(np.asarray(part)) for part in parts]).astype(np.bool_)
+        except (TypeError, ValueError):
+            legal = np.zeros(0, np.bool_)
         if legal.shape != (options,):
-            raise SimulationError(f"the action mask of agent {name} has {legal.size} numbers, not {options}.")
+            raise ContractError(
+                f"the action mask {shown(given)} of agent {name}; it must have a number for each of its {options} "
+                "actions, 1 where it is legal."
+            )
         return _with_a_way_out(legal, self.choices).astype(np.float32)
+
+
+def _misfit(name: Any, seen: Any, space: spaces.Space[Any], why: str) -> ContractError:
+    return ContractError(
+        f"the observation {shown(seen)} of agent {name}{why}; PettingZoo asks for one in its observation_space "
+        f"{shown(space)}."
+    )
+
+
+def _beyond(name: Any, flat: Float32) -> ContractError:
+    """Return the sentence about the first number that the learner would not take."""
+    index = int(np.flatnonzero(~(np.abs(flat) <= LARGEST))[0])
+    remedy = "divide it by its scale in the environment" if np.isfinite(flat[index]) else "return finite numbers"
+    return ContractError(
+        f"an observation of agent {name} with {flat[index]:g} at index {index}; the largest is {LARGEST:g}: {remedy}."
+    )
 
 
 def holds_mask(space: spaces.Space[Any], choices: tuple[int, ...]) -> bool:
@@ -138,4 +166,10 @@ def _flat_size(name: Any, space: spaces.Space[Any]) -> int:
         raise ConfigError(f"the observation of agent {name} cannot be flattened into numbers.") from None
     if not isinstance(seen, spaces.Box):
         raise ConfigError(f"the observation of agent {name} has no fixed length.")
-    return int(np.prod(seen.shape))
+    size = int(np.prod(seen.shape))
+    if not 1 <= size <= MOST_NUMBERS:
+        raise ConfigError(
+            f"the observation of agent {name} has {size:,} numbers, but networks take 1 to {MOST_NUMBERS:,}; images "
+            "must be made smaller, or become features, in the environment."
+        )
+    return size

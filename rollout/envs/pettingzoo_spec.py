@@ -1,19 +1,17 @@
 """A PettingZoo parallel environment by its name, and its agents as a team of types."""
 
-import importlib
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 from gymnasium import spaces
-from pettingzoo import ParallelEnv
 
 from eia_sec.common.config import EnvConfig
-from eia_sec.common.errors import ConfigError
+from eia_sec.common.errors import ConfigError, ContractError, EnvironmentFaultError
 from eia_sec.common.names import is_name
 from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.envs.guard import Guard, factory
 from eia_sec.rollout.envs.pettingzoo_actions import action_size, choices_of, is_bounded_box, is_choice
 from eia_sec.rollout.envs.pettingzoo_observations import AgentView, holds_mask, informed_agents
 
@@ -26,8 +24,6 @@ RESERVED: Final = ("mean", "farm", "reward", "steps")
 """What results hold beside the types' own values."""
 NAMED: Final = 5
 """Agents that a refusal names."""
-
-Parallel: TypeAlias = ParallelEnv[Any, Any, Any]
 
 
 @dataclass(frozen=True)
@@ -45,7 +41,7 @@ class Agents:
     actions: dict[Any, spaces.Space[Any]]
 
 
-def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
+def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Guard:
     """Return a new environment.
 
     Args:
@@ -54,39 +50,33 @@ def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
             `continuous_actions=True`. It is asked in any case if its actions cannot be trained otherwise.
 
     Raises:
-        ConfigError: no environment has that name, it cannot be made with these arguments, or it is not a parallel
-            environment whose actions can be trained.
+        ConfigError: no environment has that name, or its actions cannot be trained.
+        ContractError: it is no parallel environment.
+        EnvironmentFaultError: it cannot be imported or made.
     """
-    factory, keywords = _factory(config.name), config.keywords()
+    make, keywords = factory(config.name), config.keywords()
     with ExitStack() as rejected:
-        environment = _made(config.name, factory, keywords)
-        rejected.callback(_close, environment)
-        found = _suitable(config, factory, environment, boxes=boxes)
+        environment = rejected.enter_context(closing(Guard(config.name, make, keywords)))
+        found = _suitable(config, make, environment, boxes=boxes)
         if found is environment:
             rejected.pop_all()
         return found
 
 
-def _close(environment: Parallel) -> None:
-    """Close an environment that is not used; foreign code may fail at that before its first reset."""
-    with suppress(Exception):
-        environment.close()
-
-
-def _suitable(config: EnvConfig, factory: Callable[..., Any], environment: Parallel, *, boxes: bool) -> Parallel:
+def _suitable(config: EnvConfig, make: Callable[..., Any], environment: Guard, *, boxes: bool) -> Guard:
     """Return the environment, or another one with actions in boxes; raise ConfigError if neither can be trained."""
     keywords = config.keywords()
     if _all_actions(environment, is_bounded_box) or (not boxes and _all_actions(environment, _is_trainable)):
         return environment
     if CONTINUOUS not in keywords:
         try:
-            continuous = _made(config.name, factory, {**keywords, CONTINUOUS: True})
-        except ConfigError:
+            continuous = Guard(config.name, make, {**keywords, CONTINUOUS: True})
+        except (ContractError, EnvironmentFaultError):
             continuous = environment
         if _all_actions(continuous, is_bounded_box):
             return continuous
         if continuous is not environment:
-            _close(continuous)
+            continuous.close()
     if _all_actions(environment, _is_trainable):
         return environment
     raise ConfigError(
@@ -94,7 +84,7 @@ def _suitable(config: EnvConfig, factory: Callable[..., Any], environment: Paral
     )
 
 
-def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
+def describe(environment: Guard, prefixes: Mapping[str, str]) -> Agents:
     """Return the agents of an environment, grouped into types.
 
     Agents form a type if their names share the longest matching prefix of the map. Without a match, agents whose names
@@ -161,7 +151,7 @@ def _shape(space: spaces.Space[Any], view: AgentView) -> _Shape:
     return _Shape(view.size, action_size(space), choices_of(space), view.masked)
 
 
-def _views(environment: Parallel) -> dict[Any, AgentView]:
+def _views(environment: Guard) -> dict[Any, AgentView]:
     """Return how each agent's observation becomes numbers, in the environment's own order."""
     agents = environment.possible_agents
     choices = {name: choices_of(environment.action_space(name)) for name in agents}
@@ -172,38 +162,7 @@ def _views(environment: Parallel) -> dict[Any, AgentView]:
     return {name: AgentView.of(name, seen[name], choices[name], informed=name in informed) for name in agents}
 
 
-def _factory(name: str) -> Callable[..., Any]:
-    module, _, member = name.partition(":")
-    try:
-        found: Any = importlib.import_module(module)
-        for part in member.split("."):
-            found = getattr(found, part, None) or importlib.import_module(f"{module}.{part}")
-    except ImportError as error:
-        hint = "install its package, or name its folder in PYTHONPATH"
-        raise ConfigError(f"there is no environment {name}: {error} ({hint}).") from None
-    except Exception as error:  # foreign code may raise anything; the user's remedy is another name
-        raise ConfigError(f"{name} cannot be loaded: {type(error).__name__}: {error}.") from None
-    if isinstance(found, ModuleType):
-        found = getattr(found, "parallel_env", None)
-    if not callable(found):
-        raise ConfigError(f"{name} is neither a callable nor a module with a parallel_env.")
-    factory: Callable[..., Any] = found
-    return factory
-
-
-def _made(name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -> Parallel:
-    try:
-        environment = factory(**keywords)
-    except Exception as error:  # foreign code may raise anything; the user's remedy is other arguments
-        raise ConfigError(f"{name} cannot be made with {dict(keywords)}: {type(error).__name__}: {error}.") from None
-    if not isinstance(environment, ParallelEnv):
-        raise ConfigError(f"{name} is a {type(environment).__name__}, not a PettingZoo ParallelEnv.")
-    if not getattr(environment, "possible_agents", None):  # the base class only announces it
-        raise ConfigError(f"{name} does not name its possible agents.")
-    return environment
-
-
-def _all_actions(environment: Parallel, fits: Callable[[spaces.Space[Any]], bool]) -> bool:
+def _all_actions(environment: Guard, fits: Callable[[spaces.Space[Any]], bool]) -> bool:
     return all(fits(environment.action_space(name)) for name in environment.possible_agents)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Final
 
-from eia_sec.common.config import RunConfig
+from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.action_kinds import discrete_algorithms
 from eia_sec.common.config.environment import FARM
 from eia_sec.common.environment import EnvironmentSpec
@@ -17,8 +17,11 @@ from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.team import TeamSpec
-from eia_sec.rollout.envs.base import Environments
+from eia_sec.rollout.envs.base import Environments, Patience
+from eia_sec.rollout.heuristics.random import RandomPolicy
 
+TRIAL_STEPS: Final = 3
+"""Steps of the trial of an environment from outside."""
 Factory = Callable[[RunConfig, int, bool], Environments]
 """Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
@@ -29,10 +32,10 @@ def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
     return make_farms(config.farm, count, config.rollout.threads, hindsight)
 
 
-def _pettingzoo(config: RunConfig, count: int) -> Environments:
+def _pettingzoo(config: RunConfig, count: int, patience: Patience | None) -> Environments:
     from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
-    return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions)
+    return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions, patience=patience)
 
 
 FACTORIES: Final[dict[str, Factory]] = {
@@ -41,20 +44,23 @@ FACTORIES: Final[dict[str, Factory]] = {
 """Environments of this package by name. A name with a colon is a PettingZoo environment's."""
 
 
-def make_environments(config: RunConfig, count: int, hindsight: bool = False) -> Environments:
+def make_environments(
+    config: RunConfig, count: int, hindsight: bool = False, patience: Patience | None = None
+) -> Environments:
     """Return `count` environments of a run.
 
     Args:
         config: the run.
         count: how many.
         hindsight: whether to track `Environments.hindsight`; where there is none, it stays None.
+        patience: what to do while a simulator or robot is away; without it, `EnvironmentOutageError` passes through.
 
     Raises:
         ConfigError: the environment that the configuration names does not exist or cannot be trained,
             or a farm cannot track hindsight.
     """
     if config.env.is_third_party:
-        return _pettingzoo(config, count)
+        return _pettingzoo(config, count, patience)
     if config.env.name not in FACTORIES:
         raise ConfigError(
             f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
@@ -63,31 +69,54 @@ def make_environments(config: RunConfig, count: int, hindsight: bool = False) ->
     return FACTORIES[config.env.name](config, count, hindsight)
 
 
-def environment_spec(config: RunConfig) -> EnvironmentSpec:
+def environment_spec(config: RunConfig, *, trial: bool = False) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
+
+    Args:
+        config: the run.
+        trial: whether an environment from outside is also tried for TRIAL_STEPS steps with random actions, so that
+            its mistakes show before any process of a run starts.
 
     Raises:
         ConfigError: as for `make_environments`; the algorithm cannot train these actions; or a chunk, the actors or an
             evaluation would not fit into a message.
+        ContractError, EnvironmentFaultError: see `eia_sec.rollout.envs.guard`.
     """
-    spec = _spec(config)
-    _require_actions(config, spec.team)
-    require_frames(config, spec)
+    farm = farm_of(config)
+    if farm is not None and not farm.observation.advice and not farm.battery.watched:
+        # Without loading the simulator.
+        return _trainable(config, _farm_spec(farm))
+    with closing(make_environments(config, 1)) as environments:
+        spec = _trainable(config, environments.spec)
+        if trial and config.env.is_third_party:
+            _try(environments)
     return spec
 
 
-def _spec(config: RunConfig) -> EnvironmentSpec:
-    """Return the description of a run's environment; that of plain farms without loading their simulator."""
-    farm = farm_of(config)
-    if farm is None or farm.observation.advice or farm.battery.watched:
-        with closing(make_environments(config, 1)) as environments:
-            return environments.spec
+def _farm_spec(farm: FarmConfig) -> EnvironmentSpec:
     from eia_sec.rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
     from eia_sec.rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
 
     # Refuses farms that cannot be simulated.
     constants(farm, cell_counts(farm.world))
     return farm_environment(farm)
+
+
+def _try(environments: Environments) -> None:
+    """Begin an episode and take some steps."""
+    policy = RandomPolicy()
+    environments.reset(0, 0, 0)
+    policy.reset(environments, 0)
+    for _ in range(TRIAL_STEPS):
+        if not environments.ended.all():
+            environments.step(policy.act(environments))
+
+
+def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
+    """Return the description; raise ConfigError if it cannot be trained."""
+    _require_actions(config, spec.team)
+    require_frames(config, spec)
+    return spec
 
 
 def _require_actions(config: RunConfig, team: TeamSpec) -> None:

@@ -1,7 +1,7 @@
 """Collection of experience: a batch of environments stepped with the newest actors and exploration noise."""
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from typing import Protocol
 
@@ -15,6 +15,7 @@ from eia_sec.common.protocol.bfloat16 import Bits, to_bits
 from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.registry import make_environments
 from eia_sec.rollout.worker.action_sampler import ActionSampler
 from eia_sec.rollout.worker.hindsight_credit import credit_newest, shares_of
@@ -41,29 +42,33 @@ class Collector:
         config: the run.
         worker: the worker's name.
         start: number of this start of the worker; the same number repeats the same episodes.
+        patience: waits while an environment's simulator or robot is away, see `make_environments`.
 
     Attributes:
         environments: the batch.
         team: layout of a row.
+        chunk_steps: steps of all environments in a whole chunk.
         environment_steps: steps of all environments in the chunks that were collected.
         simulated: the same with those of the chunk that is being collected.
         probe: records one environment while somebody watches, else None; the experience does not depend on it.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
+        CancelledError: the patience was at an end before all environments had begun.
     """
 
-    def __init__(self, config: RunConfig, worker: str, start: int) -> None:
+    def __init__(self, config: RunConfig, worker: str, start: int, patience: Patience | None = None) -> None:
         self._config = config
         self._identity = (config.seed, worker, start)
         count = config.rollout.environments
         by_type = config.on_policy.hindsight_shares() if config.learns_on_policy else {}
-        self.environments = make_environments(config, count, any(by_type.values()))
+        self.environments = make_environments(config, count, any(by_type.values()), patience)
         self.team = self.environments.team
         self._share = shares_of(self.team, by_type)
         ends = config.learns_on_policy and config.on_policy.time_limit == "terminal"
         self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount, ends=ends)
         self.environment_steps = self.simulated = 0
+        self.chunk_steps = count * config.rollout.chunk_steps
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
@@ -73,11 +78,17 @@ class Collector:
         self._state: Float32 | None = None
         if config.memory_size:
             self._state = np.zeros((count, self.team.agents, config.memory_size), np.float32)
-        for index in range(count):
-            self._begin(index)
+        with ExitStack() as failed:
+            failed.callback(self.close)
+            self._begin_episodes()
+            failed.pop_all()
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.environments.close()
 
     def collect(
-        self, actors: TeamActors, noise_std: float, uniform: bool, meanwhile: Callable[[], None] = lambda: None
+        self, actors: TeamActors, noise_std: float, uniform: bool, goes_on: Callable[[], bool] = lambda: True
     ) -> Chunk:
         """Collect one chunk.
 
@@ -86,12 +97,15 @@ class Collector:
             noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1; without meaning
                 for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
             uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
-            meanwhile: called after each step; a chunk may take many seconds. What it raises ends the chunk, and the
-                collector must not collect again.
+            goes_on: called after each step, because a chunk may take many seconds; after False, the chunk ends with
+                that step.
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows
             may be shaped (`eia_sec.rollout.worker.reward_shaping`); rewards of episodes are not.
+
+        Raises:
+            CancelledError: an environment was away until the patience was at an end, and no step was made before.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         rows = _ChunkRows(
@@ -101,24 +115,30 @@ class Collector:
             log_probabilities=self._config.learns_on_policy,
             rounded=self._config.bfloat16_observations,
         )
+        self._begin_episodes()
         state = None if self._state is None else self._state.copy()
         episodes: list[EpisodeSummary] = []
-        for step in range(steps):
-            rows.write_observation(step, environments.observation)
+        done, last = 0, False
+        while not last:
+            rows.write_observation(done, environments.observation)
             action, log_probability, adapted = self._select_actions(actors, noise_std, uniform)
             self._shaping.before_step()
             environments.step(adapted)
             self.simulated += len(environments.time)
-            meanwhile()
             if self.probe is not None:
                 self.probe.record()
-            rows.action[:, step], rows.log_probability[:, step] = action, log_probability
-            rows.reward[:, step] = self._shaping.shaped_reward()
-            episodes += self._end_episodes(rows, step + 1)
-        for running in range(len(environments.time)):
-            self._credit(rows, running, steps)
+            rows.action[:, done], rows.log_probability[:, done] = action, log_probability
+            rows.reward[:, done] = self._shaping.shaped_reward()
+            done += 1
+            last = not goes_on() or done == steps
+            if last or environments.ended.any():  # else the next step writes these observations
+                rows.write_observation(done, environments.observation)
+                episodes += self._end_episodes(rows, done)
+                last = last or not self._could_begin()
+        for running in np.flatnonzero(~environments.ended):
+            self._credit(rows, int(running), done)
         self.environment_steps = self.simulated
-        return Chunk(replace(rows.rows(), state=state), tuple(episodes))
+        return Chunk(replace(rows.rows(done), state=state), tuple(episodes))
 
     def _select_actions(self, actors: TeamActors, noise_std: float, uniform: bool) -> tuple[Float32, Float32, Float32]:
         """Return actions, log-probabilities [E, agents], or [E, 0] off policy, and the actions adapted."""
@@ -127,26 +147,22 @@ class Collector:
         action = self._explore(actors, noise_std, uniform)
         return action, np.zeros((len(action), 0), np.float32), self.team.adapt(self.environments.observation, action)
 
-    def _end_episodes(self, rows: "_ChunkRows", steps_done: int) -> list[EpisodeSummary]:
-        """Close the episodes that ended in the chunk's newest step, and begin others.
+    def _end_episodes(self, rows: "_ChunkRows", done: int) -> list[EpisodeSummary]:
+        """Close the episodes that ended in the chunk's newest step.
 
         Args:
-            rows: the chunk's rows.
-            steps_done: its steps so far.
+            rows: the chunk's rows, with the observations after that step.
+            done: its steps so far.
 
         Returns:
             Summaries of the episodes.
         """
         environments = self.environments
-        over = [int(index) for index in np.flatnonzero(environments.ended)]
-        if over or steps_done == self._config.rollout.chunk_steps:  # else the next step writes these observations
-            rows.write_observation(steps_done, environments.observation)
         summaries = []
-        for index in over:
-            self._credit(rows, index, steps_done)
-            rows.end(index, steps_done - 1, bool(environments.terminated[index]))
+        for index in map(int, np.flatnonzero(environments.ended)):
+            self._credit(rows, index, done)
+            rows.end(index, done, bool(environments.terminated[index]))
             summaries.append(environments.summary(index))
-            self._begin(index)
         return summaries
 
     def _sample(self, actors: TeamActors) -> tuple[Float32, Float32, Float32]:
@@ -171,13 +187,27 @@ class Collector:
             part = rows.reward[index, start:stop]
             part[...] = credit_newest(self.environments, index, part, self._share)
 
+    def _could_begin(self) -> bool:
+        """Begin episodes; return whether no environment is away until the patience is at an end."""
+        try:
+            self._begin_episodes()
+        except CancelledError:
+            return False
+        return True
+
+    def _begin_episodes(self) -> None:
+        """Begin an episode in every environment that has none."""
+        environments = self.environments
+        for index in map(int, np.flatnonzero(environments.ended | (environments.time < 0))):
+            self._begin(index)
+
     def _begin(self, index: int) -> None:
+        parts = (*self._identity, index, int(self._episode[index]) + 1)
+        farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
+        self.environments.reset(index, farm, derive(*parts, "episode"))
         self._episode[index] += 1
         if self._state is not None:
             self._state[index] = 0.0
-        parts = (*self._identity, index, int(self._episode[index]))
-        farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
-        self.environments.reset(index, farm, derive(*parts, "episode"))
         if self.probe is not None and index == self.probe.index:
             self.probe.record()
 
@@ -189,36 +219,46 @@ class _ChunkRows:
     """
 
     def __init__(self, count: int, steps: int, team: TeamSpec, *, log_probabilities: bool, rounded: bool) -> None:
-        self._steps, self._rounded = steps, rounded
+        self._rounded = rounded
         self._observation = np.empty((count, steps + 1, team.observation_size), np.uint16 if rounded else np.float32)
         self.action = np.zeros((count, steps + 1, team.action_size), np.float32)
         self.reward = np.zeros((count, steps + 1, team.agents), np.float32)
         self.log_probability = np.zeros((count, steps + 1, team.agents if log_probabilities else 0), np.float32)
         self._flag = np.zeros((count, steps + 1), np.uint8)
         self._flag[:, :steps] = TRANSITION
-        self._inserted: list[tuple[int, Float32 | Bits]] = []
+        self._ends: list[tuple[int, int, Float32 | Bits]] = []
 
     def write_observation(self, step: int, observation: Float32) -> None:
         """Write the observations [E, O] before a step."""
         self._observation[:, step] = to_bits(observation) if self._rounded else observation
 
-    def end(self, index: int, step: int, terminated: bool) -> None:
-        """Mark the end of an environment's episode in a step. The final observation must already be written."""
-        self._flag[index, step] |= TERMINATED if terminated else TRUNCATED
-        if step + 1 < self._steps:
-            place = index * (self._steps + 1) + step + 1
-            self._inserted.append((place, self._observation[index, step + 1].copy()))
+    def end(self, index: int, done: int, terminated: bool) -> None:
+        """Mark the end of an environment's episode in its newest step, whose observations must already be written.
 
-    def rows(self) -> Rows:
-        """Return all rows. Each episode's final observation has its own row, before the next episode's first row."""
-        count = self._flag.size
+        Args:
+            index: the environment.
+            done: its steps so far.
+            terminated: whether the step led to a terminal state.
+        """
+        self._flag[index, done - 1] |= TERMINATED if terminated else TRUNCATED
+        self._ends.append((index, done, self._observation[index, done].copy()))
+
+    def rows(self, steps: int) -> Rows:
+        """Return the rows of the first steps.
+
+        Each episode's final observation has its own row, before the next episode's first row.
+        """
+        self._flag[:, steps] = 0
+        length = steps + 1
+        count = len(self._flag) * length
         arrays = (self._observation, self.action, self.reward, self.log_probability)
-        observation, *others = (array.reshape(count, array.shape[2]) for array in arrays)
-        flag = self._flag.reshape(count)
-        if self._inserted:
-            self._inserted.sort(key=lambda entry: entry[0])
-            places = [place for place, _ in self._inserted]
-            observation = np.insert(observation, places, np.stack([last for _, last in self._inserted]), axis=0)
+        observation, *others = (array[:, :length].reshape(count, array.shape[2]) for array in arrays)
+        flag = self._flag[:, :length].reshape(count)
+        inserted = [(index * length + done, last) for index, done, last in self._ends if done < steps]
+        if inserted:
+            inserted.sort(key=lambda entry: entry[0])
+            places = [place for place, _ in inserted]
+            observation = np.insert(observation, places, np.stack([last for _, last in inserted]), axis=0)
             others = [np.insert(array, places, 0.0, axis=0) for array in others]
             flag = np.insert(flag, places, np.uint8(0))
         action, reward, log_probability = others

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.errors import CancelledError, ProtocolError
+from eia_sec.common.errors import CancelledError, EnvironmentOutageError, ProtocolError
 from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult
@@ -75,7 +75,7 @@ class EvaluationService:
             reward, steps = run_noise_free_episodes(
                 self._config, store.actors, order.farms, order.episodes, self._cancelled
             )
-        except CancelledError as error:
+        except (CancelledError, EnvironmentOutageError) as error:
             incoming.refuse(str(error))
             return
         self.episodes += len(order.farms)

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
-from eia_sec.common.errors import BusClosedError, BusError, ProtocolError
+from eia_sec.common.errors import BusClosedError, BusError, ProtocolError, UsageError
 from eia_sec.common.history.history import Entry, History
 from eia_sec.common.log import log
 from eia_sec.common.process import QUICK_SECONDS
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.messages import ChunkAck, Envelope
 from eia_sec.common.team import TeamSpec
@@ -56,7 +57,7 @@ class Sender:
         worker: the worker's name.
         incarnation: number of this start.
         team: layout of the rows.
-        capacity: most chunks in the spool.
+        rules: the shape of chunks, and how many the spool holds.
         patience: seconds after which an unanswered request is resent.
         history: where chunks and verdicts are recorded.
 
@@ -83,7 +84,7 @@ class Sender:
         worker: str,
         incarnation: int,
         team: TeamSpec,
-        capacity: int,
+        rules: ChunkRules,
         patience: float,
         history: History | None = None,
     ) -> None:
@@ -92,7 +93,7 @@ class Sender:
         self.window = NO_LIMIT
         self.untaken = 0
         self.learner_closed = self.replaced = False
-        self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
+        self._bus, self._team, self._rules, self._patience = bus, team, rules, patience
         self.key = keys.TRANSITION.key(run, worker=worker)
         self._worker, self._incarnation = worker, incarnation
         self._held: deque[_Held] = deque()
@@ -108,7 +109,7 @@ class Sender:
     @property
     def full(self) -> bool:
         """Return whether the spool is full; no chunk may be offered until one is settled."""
-        return len(self._held) >= self._capacity
+        return len(self._held) >= self._rules.spool_chunks
 
     def offer(self, chunk: Chunk, version: int) -> None:
         """Put a chunk into the spool and record it.
@@ -116,9 +117,19 @@ class Sender:
         Args:
             chunk: the chunk; the spool must not be full.
             version: parameter version that it was collected with.
+
+        Raises:
+            UsageError: the learner would refuse it, and every chunk like it.
         """
         steps = chunk.rows.steps
-        sealed = to_message(chunk, self._team, version, self.produced + steps).encode()
+        message = to_message(chunk, self._team, version, self.produced + steps)
+        try:
+            self._rules.chunk_of(message, self._team)
+        except ProtocolError as error:
+            raise UsageError(
+                f"worker {self._worker} ends, because no learner would take its experience: {error}"
+            ) from error
+        sealed = message.encode()
         with self._changed:
             self._sequence += 1
             self.produced += steps

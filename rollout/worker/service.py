@@ -6,11 +6,16 @@ When something goes wrong:
 - Parameters come, or a new learner takes over: `LearnerLink`.
 - The learner is gone: it collects until its spool is full, resends the oldest chunks until they are answered
   (`Sender`), and waits.
+- The environment's simulator or robot is away: it waits until it is back (`Outages`).
+- The environment does not return from a call: `Watchdog`.
+- The run drains, or the worker should end: the chunk ends with the present step, and is delivered as it is.
 - A newer start of the same worker delivers: it ends (`ReplacedError`).
 """
 
 import math
+import threading
 import time
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,18 +23,22 @@ from typing import Any
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config.presets import read_saved
 from eia_sec.common.config.run import RunConfig
-from eia_sec.common.errors import UsageError
+from eia_sec.common.errors import CancelledError, EiaSecError, EnvironmentFaultError, UsageError
 from eia_sec.common.history.history import History, Start
 from eia_sec.common.incarnation import new_incarnation, seconds_ahead
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import ConfigurationMessage
+from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.rollout.envs.watchdog import Watchdog, call_alarm
 from eia_sec.rollout.worker.collection_gate import CollectionGate
 from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.evaluation_service import EvaluationService
-from eia_sec.rollout.worker.learner_link import LearnerLink
+from eia_sec.rollout.worker.learner_link import COLLECTING, LearnerLink
+from eia_sec.rollout.worker.outages import Outages
 from eia_sec.rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
 from eia_sec.rollout.worker.view_service import ViewService
 from eia_sec.rollout.worker.warm_up import warm_up
@@ -40,6 +49,8 @@ DRAIN_SECONDS = 5.0
 DELIVER_SECONDS = 2.0
 """How long it delivers at least, when an evaluation took all of that; a supervisor kills it after 8 s."""
 IDLE_SECONDS = 0.002
+POLL_SECONDS = 0.05
+"""Time between two looks at the learner's messages while a chunk is collected."""
 UNTAKEN = 20
 """Requests in a row that nobody took before the worker checks whether it is denied."""
 CLOCK_SECONDS = 5.0
@@ -74,22 +85,19 @@ class WorkerOptions:
     history: Path | None = None
 
 
-class _NoTimeLeftError(Exception):
-    """A worker that ends cannot finish its chunk; nobody outside this module sees it."""
-
-
 @dataclass
 class _Times:
     collecting: float = 0.0
     waiting: float = 0.0
     paused: float = 0.0
     reported: float = field(default_factory=time.monotonic)
+    polled: float = 0.0
     denied: float = 0.0
     ending: float = 0.0
 
 
 class Worker:
-    """One worker's loop; all its methods run in the main thread.
+    """One worker's loop; all its methods run in the main thread, but for `report`.
 
     Args:
         options: how it was started.
@@ -98,9 +106,13 @@ class Worker:
         control: the control lane.
         bulk: the lane for chunks.
         stop: ends the loop.
+        presence: where it reports.
+        collector: its environments.
+        start: number of this start.
+        outages: of its environments.
 
     Raises:
-        UsageError: the learner's team is another one than the environment has here, or no incarnation is left.
+        UsageError: the learner's team is another one than the environment has here.
     """
 
     def __init__(
@@ -111,27 +123,32 @@ class Worker:
         control: Bus,
         bulk: Bus,
         stop: StopSignal,
+        presence: Presence,
+        collector: Collector,
+        start: int,
+        outages: Outages,
     ) -> None:
-        run, name, start = options.run, options.name, new_incarnation(answer.newest_incarnation)
+        run, name = options.run, options.name
         self._options, self._config, self._control, self._stop = options, config, control, stop
         self._clock_alarm = _clock_alarm(answer.newest_incarnation)
-        self._collector = Collector(config, name, 0 if answer.lockstep else start)
-        team = self._collector.team
+        self._collector, self._outages, self._presence = collector, outages, presence
+        # A run in lockstep repeats whole chunks, and networks with memory learn from whole sequences of equal length.
+        self._cuts_chunks = not answer.lockstep and not config.memory_size
+        team = collector.team
         if team.to_dict() != answer.team:
             raise UsageError(f"the learner of run {run} is for a different team than {config.env.name} has here.")
         self._history = History(options.history)
         self._history.add(Start("rollout", name, start))
         patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
-        spool = config.rollout.spool_chunks
-        self._sender = Sender(bulk, run, name, start, team, spool, patience, self._history)
+        rules = ChunkRules.of(config, collector.environments.spec)
+        self._sender = Sender(bulk, run, name, start, team, rules, patience, self._history)
         self._learner = LearnerLink(control, run, name, config, team, stop)
         self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
         self._evaluations = EvaluationService(
             control, config, run, name, self._learner.store, self._late_for_evaluations
         )
-        self._view_service = ViewService(control, run, name, start, self._collector, answer.toml)
-        self._presence = Presence(control, run, "rollout", name, start)
-        self._times = _Times()
+        self._view_service = ViewService(control, run, name, start, collector, answer.toml)
+        self._times, self._reporting = _Times(), threading.Lock()
         log(f"worker {name} collects for run {run} in {config.rollout.environments} environments.")
 
     def run(self) -> None:
@@ -194,22 +211,37 @@ class Worker:
             raise ReplacedError(f"worker {self._options.name} ends: another process writes {self._options.history}.")
 
     def _collect(self, actors: TeamActors) -> None:
-        started = time.monotonic()
+        started, version = time.monotonic(), self._learner.store.version
         try:
-            chunk = self._collector.collect(actors, *self._exploration(), meanwhile=self._between_steps)
-        except _NoTimeLeftError:
-            steps = self._collector.simulated - self._collector.environment_steps
-            log(f"worker {self._options.name}: {steps} steps of an unfinished chunk were left behind.")
+            chunk = self._collector.collect(actors, *self._exploration(), goes_on=self._goes_on)
+        except CancelledError as error:
+            log(f"worker {self._options.name}: {error}")
         else:
             self._sender.flown = self._collector.environment_steps
-            self._sender.offer(chunk, self._learner.store.version)
+            if self._is_deliverable(chunk):
+                self._sender.offer(chunk, version)
+            else:
+                log(f"worker {self._options.name}: {chunk.rows.steps} steps of an unfinished chunk were left behind.")
         self._times.collecting += time.monotonic() - started
 
-    def _between_steps(self) -> None:
-        """Report, and raise _NoTimeLeftError once a worker that ends needs the time left for its deliveries."""
+    def _is_deliverable(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is whole, or may be shorter."""
+        return self._cuts_chunks or chunk.rows.steps == self._collector.chunk_steps
+
+    def _goes_on(self) -> bool:
+        """Report, and return whether the chunk that is being collected should get another step.
+
+        A chunk that may be shorter ends as soon as the learner drains or the worker should end. Any other goes on until
+        only the time is left that deliveries need.
+        """
+        self._outages.over()
         self._report_if_due()
-        if self._seconds_left() <= DELIVER_SECONDS:
-            raise _NoTimeLeftError
+        if not self._cuts_chunks:
+            return self._seconds_left() > DELIVER_SECONDS
+        if time.monotonic() - self._times.polled >= POLL_SECONDS:
+            self._times.polled = time.monotonic()
+            self._learner.poll()
+        return not self._stop and self._learner.state in COLLECTING
 
     def _exploration(self) -> tuple[float, bool]:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""
@@ -229,8 +261,13 @@ class Worker:
 
     def _report(self) -> None:
         self._log_denial()
-        self._presence.report(self._metrics(), self._learner.store.version)
-        self._times.reported = time.monotonic()
+        self.report()
+
+    def report(self) -> None:
+        """Publish the worker's metrics; any thread may call this."""
+        with self._reporting:
+            self._presence.report(self._metrics(), self._learner.store.version)
+            self._times.reported = time.monotonic()
 
     def _metrics(self) -> dict[str, Any]:
         times, sender, learner = self._times, self._sender, self._learner
@@ -257,11 +294,13 @@ class Worker:
             "skipped": self._view_service.skipped,
             "paused": self._gate.pause_reason,
             "paused_seconds": times.paused,
+            "outages": self._outages.count,
             "alarms": self._alarms(),
         }
 
     def _alarms(self) -> list[str]:
-        found = (self._history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
+        own = (self._history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
+        found = (*own, self._outages.alarm, call_alarm())
         return [text for text in found if text]
 
     def _log_denial(self) -> None:
@@ -309,4 +348,34 @@ def serve(options: WorkerOptions) -> None:
                 f"--env {config.env.name}."
             )
         with connect(options.endpoint, "bulk", stop, options.patience) as bulk:
-            Worker(options, config, answer, control, bulk, stop).run()
+            _work(options, config, answer, control, bulk, stop)
+
+
+def _work(
+    options: WorkerOptions,
+    config: RunConfig,
+    answer: ConfigurationMessage,
+    control: Bus,
+    bulk: Bus,
+    stop: StopSignal,
+) -> None:
+    """Make the environments, work, and close them, and report all the while."""
+    start, name = new_incarnation(answer.newest_incarnation), options.name
+    presence, outages = Presence(control, options.run, "rollout", name, start), Outages(stop.event)
+
+    def report() -> None:
+        presence.report({"state": "starting", "alarms": [text for text in (outages.alarm, call_alarm()) if text]})
+
+    report()
+    try:
+        with (
+            closing(Watchdog(config.env.step_timeout, report, lambda: bool(stop))) as watchdog,
+            closing(Collector(config, name, 0 if answer.lockstep else start, outages.wait)) as collector,
+        ):
+            outages.over()
+            worker = Worker(options, config, answer, control, bulk, stop, presence, collector, start, outages)
+            watchdog.speak = worker.report
+            worker.run()
+    except EnvironmentFaultError as error:
+        # No mistake of whoever started it: another start may do better.
+        raise EiaSecError(str(error)) from error

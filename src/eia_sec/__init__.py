@@ -2,6 +2,8 @@
 
 from importlib.metadata import version
 
-__all__ = ["__version__"]
+from eia_sec.common.errors import EnvironmentOutageError
+
+__all__ = ["EnvironmentOutageError", "__version__"]
 
 __version__ = version("eia-sec")

@@ -7,10 +7,10 @@ import pytest
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.transport.bus import Bus, Sample, Server, Subscription
 from eia_sec.common.transport.endpoint import free_endpoint
-from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties

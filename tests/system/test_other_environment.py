@@ -53,17 +53,18 @@ publish_seconds = 0.05
 farms = 3
 """
 TOYS = str(Path(__file__).parents[1] / "rollout" / "envs")
+WHERE = os.pathsep.join([str(Path.cwd() / "src"), str(Path.cwd()), TOYS])
+"""Where processes find this checkout and the toys."""
 
 
 def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     """`eia-sec train --env` ends with a report; the policy earns more than random actions do."""
     config, run_dir = tmp_path / "relay.toml", tmp_path / "run"
     config.write_text(RELAY.replace('name = "toy_env:Relay"', "").replace("episodes = 120", "episodes = 300"))
-    where = os.pathsep.join([str(Path.cwd()), TOYS])
     command = [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--preset", "eia-sec", "--env", "toy_env:Relay"]
     done = subprocess.run(
         [*command, "--config", str(config), "--run-dir", str(run_dir), "--algorithm.actor-rate", "0.001"],
-        env={**os.environ, "PYTHONPATH": where},
+        env={**os.environ, "PYTHONPATH": WHERE},
         capture_output=True,
         text=True,
         timeout=200,
@@ -86,7 +87,7 @@ def test_choices_masks_and_boxes_are_trained_together(tmp_path: Path) -> None:
     """On-policy training of a mixed team with action masks ends with a better policy, which can be exported."""
     config, run_dir = tmp_path / "doors.toml", tmp_path / "run"
     config.write_text(DOORS)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])}
+    environment = {**os.environ, "PYTHONPATH": WHERE}
     for command in (["train", "--env", "toy_choices:Doors", "--config", str(config)], ["export"]):
         done = subprocess.run(
             [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--run-dir", str(run_dir)],
@@ -113,7 +114,7 @@ def test_a_worker_loads_no_environment_that_it_was_not_given(
 ) -> None:
     """The configuration comes over the network, so what it names is loaded only where the command line names it too."""
     processes.config.write_text(RELAY)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path.cwd()), TOYS]))
+    monkeypatch.setenv("PYTHONPATH", WHERE)
     processes.learner()
     processes.worker()
     assert processes.wait("rollout-0") == 2
@@ -161,7 +162,7 @@ def test_discrete_actions_are_refused_before_anything_is_made(
             "--run-dir",
             str(tmp_path / "run"),
         ],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])},
+        env={**os.environ, "PYTHONPATH": WHERE},
         capture_output=True,
         text=True,
         timeout=60,
@@ -171,3 +172,45 @@ def test_discrete_actions_are_refused_before_anything_is_made(
     assert sentence in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "run").exists()
+
+
+def trained(tmp_path: Path, name: str, *more: str, seconds: float = 200) -> subprocess.CompletedProcess[str]:
+    """Return the end of a short training in an environment of the toys."""
+    config = tmp_path / "doors.toml"
+    config.write_text(DOORS.replace('name = "toy_choices:Doors"\narguments = \'{"masks": "info"}\'', ""))
+    run_dir = ["--run-dir", str(tmp_path / "run")]
+    return subprocess.run(
+        [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--env", name, "--config", str(config), *run_dir, *more],
+        env={**os.environ, "PYTHONPATH": WHERE},
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("toy_script:Env", "import toy_script ended the program with exit code 2"),
+        ("toy_faults:Raising", "toy_faults:Raising: step() raised ValueError: no such gear"),
+    ],
+)
+def test_what_an_environment_does_wrong_is_said_before_anything_is_made(
+    tmp_path: Path, name: str, sentence: str
+) -> None:
+    """The trial in the first process finds it, and the user's own lines are shown."""
+    done = trained(tmp_path, name)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert 'File "' in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_numbers_beyond_the_limit_end_a_run_with_their_name(tmp_path: Path) -> None:
+    """Where they come late, worker and training end with a sentence about agent, index, value, limit and remedy."""
+    done = trained(tmp_path, "toy_faults:Late")
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 2
+    assert last.startswith("eia-sec: toy_faults:Late: step() returned an observation of agent runner_0")
+    assert "with -4e+08 at index 1; the largest is 1e+07: divide it by its scale in the environment." in last

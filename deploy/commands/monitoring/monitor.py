@@ -17,6 +17,7 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.monitor.live_view import render, summary
+from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.monitor.snapshot import record
 from eia_sec.deploy.options import parse
@@ -57,7 +58,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _show(options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus: Bus) -> None:
-    console = Console()
+    console, alarms = Console(), NewAlarms()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal
     live = None if plain else Live(console=console, auto_refresh=False, screen=True)
@@ -76,7 +77,8 @@ def _show(options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus:
                 sys.stdout.write(json.dumps(record(snapshot), allow_nan=False) + "\n")
                 sys.stdout.flush()
             else:
-                console.print(summary(snapshot), highlight=False, markup=False, soft_wrap=True)
+                for line in (*alarms.of(snapshot), summary(snapshot)):
+                    console.print(line, highlight=False, markup=False, soft_wrap=True)
     finally:
         if live is not None:
             live.stop()

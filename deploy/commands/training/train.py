@@ -25,6 +25,7 @@ from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory, ne
 from eia_sec.deploy.local.supervisor import Supervisor
 from eia_sec.deploy.local.threads import allowed_cores
 from eia_sec.deploy.monitor.live_view import render, summary
+from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.options import base_configuration, parse
 from eia_sec.deploy.output import patient_output
@@ -82,7 +83,7 @@ def command(arguments: Sequence[str]) -> int:
         raise UsageError("--resume needs --run-dir.")
     workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
-    team = environment_spec(options.settings).team
+    team = environment_spec(options.settings, trial=True).team
     start: StartParameters = ()
     if not options.resume:
         options.settings.algorithm.require_types([group.name for group in team.groups])
@@ -246,11 +247,16 @@ class _Training:
     def _watch(self, monitor: RunMonitor) -> None:
         learner = self._supervisor.children["learner"]
         if not self._console.is_terminal:
+            alarms = NewAlarms()
             while not (self._stop or learner.done or learner.given_up):
                 self._tick(monitor)
+                snapshot = monitor.snapshot()
+                lines = alarms.of(snapshot)
                 if time.monotonic() - self._printed >= PLAIN_SECONDS:
                     self._printed = time.monotonic()
-                    self._console.print(summary(monitor.snapshot()), highlight=False, markup=False, soft_wrap=True)
+                    lines.append(summary(snapshot))
+                for line in lines:
+                    self._console.print(line, highlight=False, markup=False, soft_wrap=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
             while not (self._stop or learner.done or learner.given_up):
@@ -261,8 +267,12 @@ class _Training:
     def _tick(self, monitor: RunMonitor) -> None:
         self._supervisor.watch()
         children = self._supervisor.children
-        if all(child.given_up for name, child in children.items() if name.startswith("rollout-")):
-            raise EiaSecError(f"all workers failed; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
+        workers = [child for name, child in children.items() if name.startswith("rollout-")]
+        if all(child.given_up for child in workers):
+            last = self._supervisor.tail("rollout-0")
+            if workers[0].code == USAGE and last:
+                raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
+            raise EiaSecError(f"all workers failed; the last lines of one were:\n{last}")
         if self._options.lockstep and children["elite"].given_up:
             raise EiaSecError(f"the coordinator failed; its last lines were:\n{self._supervisor.tail('elite')}")
         monitor.update()

@@ -11,11 +11,11 @@ from eia_sec.common.config import ReplayConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.farm import farm_environment
 from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.local.memory import keep_freed_memory
 from eia_sec.learner.data.replay import Replay
-from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.receiver import Receiver

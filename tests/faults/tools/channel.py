@@ -18,10 +18,10 @@ from eia_sec.common.farm import METRIC_NAMES
 from eia_sec.common.history.history import History
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import from_request, to_message, to_request
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import ChunkAck, Envelope
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows
-from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.receiver import Receiver

@@ -21,13 +21,13 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.protocol import frame, keys
 from eia_sec.common.protocol.chunk_messages import to_message
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.codec import Message
 from eia_sec.common.protocol.messages import ChunkMessage, DeliveryMessage, Envelope
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
-from eia_sec.learner.intake.chunk_rules import ChunkRules
 from eia_sec.rollout.envs.registry import environment_spec
 from tests.system.fleet import RUN, configured
 

@@ -11,11 +11,12 @@ from eia_sec.common.errors import SchemaError
 from eia_sec.common.history.history import Entry, History, read
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
+from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.seeds import stream
 from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.deploy.monitor.audit import audit
-from eia_sec.learner.intake.chunk_rules import ChunkRules, EpisodeTracker
+from eia_sec.learner.intake.episode_tracker import EpisodeTracker
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.peer_penalties import LIMIT
@@ -244,3 +245,36 @@ def test_good_and_refused_chunks_in_turn_do_not_break_the_account(tmp_path):
     assert audit(tmp_path).clean
     records = read(tmp_path / "history" / "learner.jsonl")[0]
     assert [r.verdict for r in records if isinstance(r, Entry)] == ["missing", "refused", "missing", "accepted"]
+
+
+def test_a_short_chunk_is_taken_and_the_next_one_follows_it():
+    """A worker that was interrupted goes on with whole chunks; every step is accounted for."""
+    receiver, door = front_door()
+    produced = 0
+    for number, steps in enumerate((10, 3, 10, 1, 10), start=1):
+        produced += 2 * steps
+        sent = parcel(a_chunk({}, steps=steps), number=number, produced=produced, flown=produced)
+        assert door.pass_on(sent).verdict == "accepted"
+    totals = receiver.ledger.totals()
+    assert (totals["produced"], totals["accepted"], totals["lost"], totals["unexplained"]) == (68, 68, 0, 0)
+    shut(receiver, door)
+
+
+@pytest.mark.parametrize("produced", [20, 24, 28, 40])
+def test_a_short_chunk_hides_no_steps(produced):
+    """A worker that claims to have produced more or less than it sent is refused."""
+    receiver, door = front_door()
+    assert door.pass_on(parcel(a_chunk({}))).verdict == "accepted"
+    answer = door.pass_on(parcel(a_chunk({}, steps=3), number=2, produced=produced)).answer
+    assert answer.verdicts == ("refused",)
+    assert "produced with chunk 2 of 6 steps, but 20 before" in answer.reasons[0]
+    shut(receiver, door)
+
+
+def test_chunks_of_networks_with_memory_are_never_short():
+    """They learn from whole sequences of equally many steps."""
+    receiver, door = front_door(replace(FARM, memory=4))
+    answer = door.pass_on(parcel(a_chunk({}, steps=3), produced=6)).answer
+    assert answer.verdicts == ("refused",)
+    assert "each chunk of this run holds 20 to 20" in answer.reasons[0]
+    shut(receiver, door)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import ControlConfig, EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
 from eia_sec.common.config.action_kinds import discrete_algorithms
-from eia_sec.common.errors import ConfigError, PolicyError, SimulationError
+from eia_sec.common.errors import ConfigError, ContractError, PolicyError
 from eia_sec.common.team import TeamSpec
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions, choices_of
 from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
@@ -60,7 +60,7 @@ def test_starts_and_kinds_are_the_environments_own():
     batch = doors()
     batch.step(np.array([[2.0, 0.0, 0.5, 1.0, 2.0]], np.float32))
     batch.step(np.array([[9.0, -3.0, -1.0, 0.0, 1.0]], np.float32))
-    first, second = batch._environments[0].actions
+    first, second = batch._environments[0].wrapped.actions
     assert (first["walker_0"], first["walker_1"]) == (5, -1)
     assert type(first["walker_0"]) is int
     assert first["porter_0"].tolist() == [6, 10**12 + 2]
@@ -102,7 +102,7 @@ def test_masks_end_the_observation(masks):
         ("painter", False, 2),
         ("porter", True, 7),
     ]
-    batch._environments[0].legal = {"walker_1": [0, 1, 0, 1], "porter_0": [0, 1, 1, 0, 0]}
+    batch._environments[0].wrapped.legal = {"walker_1": [0, 1, 0, 1], "porter_0": [0, 1, 1, 0, 0]}
     batch.step(np.zeros((1, 5), np.float32))
     seen = parts(batch)
     np.testing.assert_array_equal(seen["walker"][0], [[1, 1, 1, 1, 1, 1], [1, 1, 0, 1, 0, 1]])
@@ -113,7 +113,7 @@ def test_masks_end_the_observation(masks):
 def test_a_branch_without_a_legal_option_has_them_all(masks):
     """Such a mask says nothing; other branches keep theirs."""
     batch = doors(masks)
-    batch._environments[0].legal = {"walker_0": [0, 0, 0, 0], "porter_0": [0, 0, 0, 1, 0]}
+    batch._environments[0].wrapped.legal = {"walker_0": [0, 0, 0, 0], "porter_0": [0, 0, 0, 1, 0]}
     batch.step(np.zeros((1, 5), np.float32))
     np.testing.assert_array_equal(parts(batch)["walker"][0, 0, 2:], [1, 1, 1, 1])
     np.testing.assert_array_equal(parts(batch)["porter"][0, 0, 2:], [1, 1, 0, 1, 0])
@@ -123,7 +123,7 @@ def test_a_branch_without_a_legal_option_has_them_all(masks):
 def test_who_has_left_sees_zeros_and_may_choose_anything(masks):
     """The absorbing state's mask allows everything; the episode goes on for the others."""
     batch = doors(masks)
-    batch._environments[0].legal = {"walker_0": [1, 0, 0, 0]}
+    batch._environments[0].wrapped.legal = {"walker_0": [1, 0, 0, 0]}
     for _ in range(3):
         batch.step(np.zeros((1, 5), np.float32))
     walkers = parts(batch)["walker"][0]
@@ -137,8 +137,8 @@ def test_who_has_left_sees_zeros_and_may_choose_anything(masks):
 def test_a_mask_of_another_length_is_refused():
     """One sentence names the agent and both lengths."""
     batch = doors("info")
-    batch._environments[0].legal = {"walker_0": [1, 0]}
-    with pytest.raises(SimulationError, match="the action mask of agent walker_0 has 2 numbers, not 4"):
+    batch._environments[0].wrapped.legal = {"walker_0": [1, 0]}
+    with pytest.raises(ContractError, match=r"the action mask array\(\[1, 0\].* of agent walker_0; .* its 4 actions"):
         batch.step(np.zeros((1, 5), np.float32))
 
 
@@ -156,7 +156,7 @@ def test_agents_that_differ_in_their_choices_are_different_types():
 def test_the_first_environment_is_reset_only_where_infos_may_hold_masks():
     """Boxes and masks in observations need no look into infos."""
     for masks, resets in (("observation", 1), ("info", 2), ("none", 2)):
-        assert doors(masks)._environments[0].resets == resets
+        assert doors(masks)._environments[0].wrapped.resets == resets
 
 
 def test_an_environment_with_a_choice_follows_the_algorithm():
@@ -203,11 +203,11 @@ def test_random_actions_are_legal_and_reach_every_legal_option(masks):
     taken = []
     for episode in range(60):
         batch.reset(0, 0, episode)
-        batch._environments[0].legal = {"walker_0": [0, 1, 1, 0], "porter_0": [1, 0, 1, 0, 1]}
+        batch._environments[0].wrapped.legal = {"walker_0": [0, 1, 1, 0], "porter_0": [1, 0, 1, 0, 1]}
         policy.reset(batch, 0)
         batch.step(policy.act(batch))
         batch.step(policy.act(batch))
-        taken.append(batch._environments[0].actions[-1])
+        taken.append(batch._environments[0].wrapped.actions[-1])
     assert {action["walker_0"] for action in taken} == {4, 5}
     assert {action["walker_1"] for action in taken} == {-1, 0, 1, 2}
     assert {tuple(action["porter_0"] - [5, 10**12]) for action in taken} == {(0, 0), (0, 2)}

@@ -1,6 +1,7 @@
 """Any PettingZoo parallel environment is a batch of environments like the farm."""
 
 import importlib
+import itertools
 import sys
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -13,9 +14,12 @@ from gymnasium import spaces
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from eia_sec.common.config.presets import preset
-from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.errors import ConfigError, ContractError, SimulationError, UsageError
 from eia_sec.common.farm import farm_of
+from eia_sec.common.protocol.chunk_rules import ChunkRules
+from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from eia_sec.learner.intake.episode_tracker import EpisodeTracker
 from eia_sec.rollout.envs import registry
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
@@ -61,7 +65,7 @@ def test_actions_are_spread_over_the_box_and_rewards_reach_their_agents():
     batch = PettingZooBatch(relay(), 1)
     batch.reset(0, 1, 2)
     batch.step(np.array([[-1.0, 0.0, 0.0, 1.0, 1.0, -0.5]], np.float32))
-    taken = batch._environments[0].actions[0]
+    taken = batch._environments[0].wrapped.actions[0]
     np.testing.assert_allclose(taken["runner_0"], [0.0, 2.0])
     np.testing.assert_allclose(taken["runner_1"], [0.5, 6.0])
     np.testing.assert_allclose(taken["keeper_0"], [1.0, 0.0])
@@ -112,17 +116,17 @@ def test_an_episode_is_a_function_of_its_seeds():
         (EnvConfig("nowhere:env"), "there is no environment nowhere:env"),
         (EnvConfig("toy_env:absent"), "there is no environment toy_env:absent"),
         (EnvConfig("toy_env:np"), "neither a callable nor a module with a parallel_env"),
-        (EnvConfig("toy_env:Whole"), "is a Whole, not a PettingZoo ParallelEnv"),
-        (relay('{"speed": 3}'), "cannot be made with"),
+        (EnvConfig("toy_env:Whole"), r"Whole\(\) gave <toy_env.Whole .*; PettingZoo asks for a pettingzoo.ParallelEnv"),
+        (relay('{"speed": 3}'), r"toy_env:Relay: Relay\(speed=3\) raised TypeError"),
         (EnvConfig("toy_env:shouting"), "actions other than bounded boxes, Discrete and MultiDiscrete"),
-        (EnvConfig("toy_env:Nobody"), "does not name its possible agents"),
+        (EnvConfig("toy_env:Nobody"), "possible_agents gave None; PettingZoo asks for a list"),
         (relay(types="runer=r"), r"names the prefix 'runer', but the agents are runner_0, keeper_0, runner_1"),
         (relay(types="runner=mean"), "no type can be called 'mean'"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
-    """Unknown names, wrong arguments and other action spaces are configuration errors."""
-    with pytest.raises(ConfigError, match=text):
+    """Unknown names, wrong arguments and other action spaces are the user's mistakes."""
+    with pytest.raises(UsageError, match=text):
         PettingZooBatch(config, 1)
 
 
@@ -143,10 +147,8 @@ def test_impossible_configurations_are_refused(fields, text):
         EnvConfig(**fields)
 
 
-def test_whatever_somebody_elses_code_raises_is_a_configuration_error():
-    """A constructor may raise anything; boxes wider than float32 are not bounded."""
-    with pytest.raises(ConfigError, match="RuntimeError: no licence"):
-        PettingZooBatch(EnvConfig("toy_env:broken"), 1)
+def test_boxes_wider_than_float32_are_not_bounded():
+    """Their width is infinite in 32-bit floats."""
     with pytest.raises(ConfigError, match="actions other than bounded boxes"):
         PettingZooBatch(EnvConfig("toy_env:wide"), 1)
 
@@ -233,6 +235,27 @@ def test_chunks_hold_whole_segments_wherever_episodes_end(steps):
         assert not any(row[3] & TERMINATED for row in transitions)
     assert len(episodes) == 3 * (12 * steps // 5)
     assert all(episode.steps == 5 for episode in episodes)
+
+
+@pytest.mark.parametrize("cut", [1, 4, 5, 6, 19])
+def test_a_chunk_that_is_cut_holds_the_first_steps_of_a_whole_one(cut):
+    """Its rows are whole segments of all environments, the learner takes it, and the next chunk goes on after it."""
+    config = run_config(relay('{"cut": true}'), 20, 3)
+    long, short = (Collector(config, "w", 0) for _ in range(2))
+    actors, made = TeamActors.initial(long.team, 4, 0), itertools.count(1)
+    whole = long.collect(actors, 0.3, uniform=False)
+    parts = [short.collect(actors, 0.3, uniform=False, goes_on=lambda: next(made) != cut) for _ in range(2)]
+    assert [part.rows.steps for part in parts] == [3 * cut, 3 * 20]
+    tracker, steps = EpisodeTracker(ChunkRules.of(config, long.environments.spec)), []
+    for number, part in enumerate(parts, start=1):
+        part.rows.check(long.team)
+        sender = Envelope("rollout", "w", 1, number)
+        tracker.follow(sender, tracker.check(sender, part))
+    for chunk in (whole, *parts):
+        step = chunk.rows.flag & TRANSITION != 0
+        steps.append(np.concatenate([chunk.rows.observation, chunk.rows.reward], axis=1)[step].reshape(3, -1, 11))
+    np.testing.assert_array_equal(np.concatenate(steps[1:], axis=1)[:, :20], steps[0])
+    assert (parts[0].episodes + parts[1].episodes)[: len(whole.episodes)] == whole.episodes
 
 
 def test_collecting_does_not_depend_on_where_chunks_are_cut():
@@ -323,7 +346,7 @@ def test_an_observation_outside_its_space_is_a_typed_error():
     batch = PettingZooBatch(EnvConfig("toy_env:Wandering"), 1)
     batch.reset(0, 1, 2)
     batch.step(np.zeros((1, 6), np.float32))
-    with pytest.raises(SimulationError, match="agent keeper_0 does not fit its space"):
+    with pytest.raises(ContractError, match=r"step\(\) returned the observation .* of agent keeper_0"):
         batch.step(np.zeros((1, 6), np.float32))
 
 

@@ -63,8 +63,12 @@ def test_steps_are_counted_while_a_chunk_is_collected():
     config = configured()
     actors, (quiet,) = collected(config)
     collector, seen = Collector(config, "w", 0), []
-    watch = lambda: seen.append((collector.simulated, collector.environment_steps))  # noqa: E731  # asked after each step
-    chunk = collector.collect(actors, 0.5, uniform=True, meanwhile=watch)
+
+    def watch():
+        seen.append((collector.simulated, collector.environment_steps))
+        return True
+
+    chunk = collector.collect(actors, 0.5, uniform=True, goes_on=watch)
     assert seen == [(2 * (step + 1), 0) for step in range(STEPS)]
     assert collector.environment_steps == collector.simulated == 2 * STEPS
     np.testing.assert_array_equal(chunk.rows.reward, quiet.rows.reward)

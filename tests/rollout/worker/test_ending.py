@@ -48,6 +48,7 @@ def an_ending_worker(monkeypatch, state, stop):
     for part in ("learner", "evaluations", "sender", "history"):
         setattr(worker, f"_{part}", Recorded(part, calls))
     worker._learner.state = state
+    worker._collector = SimpleNamespace(environment_steps=24)
     monkeypatch.setattr(worker, "_report", lambda: calls.append("report"))
     return worker, calls
 
@@ -85,33 +86,55 @@ def test_the_time_to_end_counts_from_when_the_stop_is_noticed(monkeypatch):
     assert calls[0] == f"wait {service.DELIVER_SECONDS:.0f}"
 
 
-def test_a_worker_that_ends_leaves_a_chunk_that_takes_too_long(monkeypatch, capsys):
-    """It goes on for three seconds after the stop, so that two are left for deliveries, and says what it leaves."""
+def a_collecting_worker(monkeypatch, cuts):
+    """Return a worker whose chunks take 100 steps of 0.25 s, the steps that it made, and the calls of its parts."""
     clock, steps = SimpleNamespace(now=100.0), []
     monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
+    worker._cuts_chunks, worker._outages = cuts, Recorded("outages", [])
     worker._learner.store = SimpleNamespace(version=1)
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
-    worker._collector = SimpleNamespace(simulated=0, environment_steps=0)
+    worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
 
-    def collect(actors, noise_std, uniform, meanwhile):
+    def collect(actors, noise_std, uniform, goes_on):
         for step in range(100):
-            worker._stop = step >= 50
             clock.now += 0.25
-            worker._collector.simulated += 16
             steps.append(step)
-            meanwhile()
-        worker._collector.environment_steps = worker._collector.simulated
-        return "chunk"
+            if step == worker.stops_at:
+                worker._stop = True
+            if step == worker.drains_at:
+                worker._learner.state = "draining"
+            if not goes_on():
+                break
+        worker._collector.environment_steps = 16 * len(steps)
+        return SimpleNamespace(rows=SimpleNamespace(steps=16 * len(steps)))
 
-    worker._collector.collect = collect
+    worker._collector.collect, worker.stops_at, worker.drains_at = collect, -1, -1
+    return worker, steps, calls
+
+
+@pytest.mark.parametrize("event", ["stops_at", "drains_at"])
+def test_a_worker_that_ends_delivers_the_chunk_in_progress(monkeypatch, event):
+    """The chunk ends with the step in which the worker learns that it should end, and is offered as it is."""
+    worker, steps, calls = a_collecting_worker(monkeypatch, cuts=True)
+    setattr(worker, event, 50)
+    worker._collect(None)
+    assert len(steps) == 51
+    assert "sender.offer" in calls
+
+
+def test_a_worker_whose_chunks_must_be_whole_leaves_one_that_takes_too_long(monkeypatch, capsys):
+    """It goes on for three seconds after the stop, so that two are left for deliveries, and says what it leaves."""
+    worker, steps, calls = a_collecting_worker(monkeypatch, cuts=False)
+    worker.stops_at = 50
     worker._collect(None)
     assert len(steps) == 50 + 1 + 12
     assert f"worker 3: {16 * len(steps)} steps of an unfinished chunk were left behind." in "".join(capsys.readouterr())
     assert "sender.offer" not in calls
-    worker._stop, worker._times.ending = False, 0.0
     monkeypatch.setattr(service, "DRAIN_SECONDS", 60.0)
+    steps.clear()
+    worker._stop, worker._times.ending = False, 0.0
     worker._collect(None)
     assert "sender.offer" in calls
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -14,7 +15,7 @@ from eia_sec.common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, from
 from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from eia_sec.rollout.worker import sender as module
 from eia_sec.rollout.worker.sender import Sender
-from tests.faults.tools.channel import RUN, TEAM, a_chunk
+from tests.faults.tools.channel import RULES, RUN, TEAM, a_chunk
 from tests.system.fleet import until
 
 
@@ -66,7 +67,7 @@ def sending(monkeypatch: pytest.MonkeyPatch, capacity: int = 100) -> Iterator[tu
     """Give a sender, the wire behind it, and a way to offer chunks by their numbers."""
     monkeypatch.setattr(module, "RETRY_SECONDS", 0.0)
     wire = Wire()
-    sender = Sender(wire, RUN, "w", 1, TEAM, capacity, 1.0)  # type: ignore[arg-type]  # a wire is all of a bus that it uses
+    sender = Sender(wire, RUN, "w", 1, TEAM, replace(RULES, spool_chunks=capacity), 1.0)  # type: ignore[arg-type]  # a wire is all of a bus that it uses
 
     def offer(*numbers: int) -> None:
         for number in numbers:

@@ -1,0 +1,350 @@
+"""The one place where code of a user's environment is called.
+
+Whatever that code does, the process around it goes on as before:
+
+- What it returns is checked. A violation of PettingZoo's contract is one sentence (`ContractError`).
+- What it raises becomes an `EnvironmentFaultError` with the traceback of the user's own code; so does an attempt to end
+  the program. An `EnvironmentOutageError` passes through, and so does what ends this process.
+- Numpy's error state, torch's default type, warning filters, the working directory and the command line are the user's
+  own inside a call and this process's own outside. Signal handlers are put back after each call.
+"""
+
+import importlib
+import math
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from eia_sec.common.errors import (
+    ConfigError,
+    ContractError,
+    EnvironmentFaultError,
+    EnvironmentOutageError,
+    TerminatedError,
+)
+from eia_sec.common.log import log
+from eia_sec.common.transitions import LARGEST
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD, signal.SIGPIPE)
+"""Signals that this process's own handlers get, whatever an environment installs."""
+SHOWN: Final = 100
+"""Most characters of a user's value in a sentence."""
+
+By: TypeAlias = Mapping[Any, Any]
+"""Values by the name of an agent."""
+
+
+class Step(NamedTuple):
+    """What a step returned, checked.
+
+    Attributes:
+        observations: what the agents see, by name; every living agent has one.
+        rewards: of the agents that acted, by name.
+        terminations, truncations: by name.
+        infos: by name.
+    """
+
+    observations: By
+    rewards: Mapping[Any, float]
+    terminations: By
+    truncations: By
+    infos: By
+
+
+@dataclass(frozen=True)
+class Running:
+    """A call of a user's code that has not returned.
+
+    Attributes:
+        environment: module:name.
+        method: what was called, step() for instance.
+        since: when, by the monotonic clock.
+    """
+
+    environment: str
+    method: str
+    since: float
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the call."""
+        return time.monotonic() - self.since
+
+
+class Guard:
+    """A user's PettingZoo parallel environment, whose code is only called here.
+
+    Args:
+        name: module:name.
+        factory: makes the environment; see `factory`.
+        keywords: its arguments.
+
+    Attributes:
+        name: module:name.
+        wrapped: the user's environment itself.
+        possible_agents: names of all agents that may take part.
+        agents: names of the living agents, as of the last call.
+
+    Raises:
+        ContractError: what was made is not a parallel environment, or does not name its agents, each once.
+        EnvironmentFaultError: it cannot be made.
+    """
+
+    running: Running | None = None
+    """The call that this process is in; one at a time."""
+
+    def __init__(self, name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -> None:
+        self.name = name
+        self.agents: list[Any] = []
+        given = ", ".join(f"{key}={value!r}" for key, value in keywords.items())
+        with calling(name, f"{name.partition(':')[2]}({given})") as method:
+            self.wrapped = factory(**keywords)
+            self._require(method, isinstance(self.wrapped, ParallelEnv), self.wrapped, "a pettingzoo.ParallelEnv")
+            agents = getattr(self.wrapped, "possible_agents", None)
+            named = isinstance(agents, Sequence) and not isinstance(agents, str) and len(agents) > 0
+            self._require("possible_agents", named, agents, "a list of all agents' names")
+            self.possible_agents = list(agents or ())
+            unique = len(set(self.possible_agents)) == len(self.possible_agents)
+            self._require("possible_agents", unique, agents, "each agent's name once")
+
+    def observation_space(self, agent: Any) -> spaces.Space[Any]:
+        """Return an agent's observation space."""
+        return self._space("observation_space", agent)
+
+    def action_space(self, agent: Any) -> spaces.Space[Any]:
+        """Return an agent's action space."""
+        return self._space("action_space", agent)
+
+    def reset(self, seed: int) -> tuple[By, By]:
+        """Begin an episode; return observations and infos by agent."""
+        with calling(self.name, "reset()") as method:
+            found = self.wrapped.reset(seed=seed)
+            wanted = "a pair of dictionaries, observations and infos"
+            self._require(method, _are_mappings(found, 2), found, wanted)
+            observations, infos = found
+            self._follow(method, observations, infos)
+        return observations, infos
+
+    def step(self, actions: By) -> Step:
+        """Let the living agents act.
+
+        Args:
+            actions: their actions by name.
+        """
+        with calling(self.name, "step()") as method:
+            found = self.wrapped.step(actions)
+            wanted = "five dictionaries: observations, rewards, terminations, truncations and infos"
+            self._require(method, _are_mappings(found, 5), found, wanted)
+            observations, rewards, terminations, truncations, infos = found
+            numbers = {name: self._reward(name, rewards[name]) for name in actions if name in rewards}
+            self._follow(method, observations, infos)
+        return Step(observations, numbers, terminations, truncations, infos)
+
+    def close(self) -> None:
+        """Release what the environment holds; what it raises meanwhile is logged, because nothing depends on it."""
+        try:
+            with calling(self.name, "close()"):
+                self.wrapped.close()
+        except (EnvironmentFaultError, EnvironmentOutageError) as error:
+            log(str(error))
+
+    @contextmanager
+    def returned(self, method: str) -> Iterator[None]:
+        """Turn a ContractError about a returned value into a sentence that names the environment and the method."""
+        try:
+            yield
+        except ContractError as error:
+            raise ContractError(f"{self.name}: {method} returned {error}") from None
+
+    def _space(self, method: str, agent: Any) -> spaces.Space[Any]:
+        with calling(self.name, f"{method}({agent!r})") as called:
+            found = getattr(self.wrapped, method)(agent)
+            self._require(called, isinstance(found, spaces.Space), found, "a gymnasium.spaces.Space")
+        space: spaces.Space[Any] = found
+        return space
+
+    def _follow(self, method: str, observations: By, infos: By) -> None:
+        """Take over the living agents, of which each must be seen."""
+        self._require(method, _are_mappings([*infos.values()]), infos, "a dictionary as each agent's info")
+        agents = getattr(self.wrapped, "agents", None)
+        known = isinstance(agents, Sequence) and set(agents) <= set(self.possible_agents)
+        self._require("agents", known, agents, f"a list of the living ones among possible_agents after {method}")
+        self.agents = list(agents or ())
+        for name in self.agents:
+            if name not in observations:
+                raise ContractError(
+                    f"{self.name}: {method} returned no observation of agent {name}, which lives; PettingZoo asks for "
+                    "one of each agent in agents."
+                )
+
+    def _reward(self, name: Any, value: Any) -> float:
+        """Return an agent's reward; raise ContractError unless it is a number that the learner takes."""
+        if type(value) is not float:
+            plain = not isinstance(value, str | bytes) and np.ndim(value) == 0
+            try:
+                number = float(value) if plain else None
+            except (TypeError, ValueError):
+                number = None
+            self._require("step()", number is not None, value, f"one number as the reward of agent {name}")
+            value = number
+        if not -LARGEST <= value <= LARGEST:
+            remedy = "scale the environment's rewards down" if math.isfinite(value) else "return a finite number"
+            raise ContractError(
+                f"{self.name}: step() returned a reward of {value:g} for agent {name}; the largest is {LARGEST:g}: "
+                f"{remedy}."
+            )
+        reward: float = value
+        return reward
+
+    def _require(self, method: str, fits: bool, came: Any, wanted: str) -> None:
+        if not fits:
+            raise ContractError(f"{self.name}: {method} gave {shown(came)}; PettingZoo asks for {wanted}.")
+
+
+def factory(name: str) -> Callable[..., Any]:
+    """Return what makes the environment module:name.
+
+    Raises:
+        ConfigError: there is no such module or member, or it makes nothing.
+        EnvironmentFaultError: the module cannot be imported.
+    """
+    module, _, member = name.partition(":")
+    hint = "install its package, or name its folder in PYTHONPATH"
+    found: Any = None
+    with calling(name, f"import {module}"):
+        try:
+            found = importlib.import_module(module)
+            for part in member.split("."):
+                found = getattr(found, part, None) or importlib.import_module(f"{module}.{part}")
+        except ImportError as error:
+            raise ConfigError(f"there is no environment {name}: {error} ({hint}).") from None
+        if isinstance(found, ModuleType):
+            found = getattr(found, "parallel_env", None)
+    if not callable(found):
+        raise ConfigError(f"{name} is neither a callable nor a module with a parallel_env.")
+    made: Callable[..., Any] = found
+    return made
+
+
+def shown(value: Any) -> str:
+    """Return a user's value for a sentence, cut to SHOWN characters."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # a user's __repr__ may raise anything
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+@contextmanager
+def calling(name: str, method: str) -> Iterator[str]:
+    """Call a user's code in this block, as this module says.
+
+    Args:
+        name: module:name of the environment.
+        method: what is called, for sentences and alarms.
+
+    Yields:
+        The method.
+    """
+    ours, handlers = _Settings.now(), _handlers()
+    (_theirs.pop() if _theirs else ours._replace(argv=[name])).apply(ours)
+    Guard.running = Running(name, method, time.monotonic())
+    try:
+        yield method
+    except (ConfigError, ContractError, EnvironmentOutageError, TerminatedError):
+        raise
+    except SystemExit as error:
+        raise EnvironmentFaultError(
+            f"{_own_traceback(error)}{name}: {method} ended the program with exit code {error.code}; code that is "
+            'imported must neither exit nor parse arguments outside of `if __name__ == "__main__"`.'
+        ) from error
+    except Exception as error:
+        raise EnvironmentFaultError(
+            f"{_own_traceback(error)}{name}: {method} raised {type(error).__name__}: {error}"
+        ) from error
+    finally:
+        Guard.running = None
+        _theirs.append(_Settings.now())
+        ours.apply(_theirs[0])
+        _restore(handlers)
+
+
+class _Settings(NamedTuple):
+    """What a user's code may set for the whole process."""
+
+    numpy: dict[str, Any]
+    torch: Any
+    filters: list[Any]
+    folder: str
+    argv: list[str]
+
+    @classmethod
+    def now(cls) -> "_Settings":
+        torch = sys.modules.get("torch")
+        default = None if torch is None else torch.get_default_dtype()
+        try:
+            folder = os.getcwd()
+        except OSError:  # it was removed
+            folder = ""
+        return cls(dict(np.geterr()), default, list(warnings.filters), folder, sys.argv)
+
+    def apply(self, present: "_Settings") -> None:
+        """Set what differs from the present settings."""
+        if self.numpy != present.numpy:
+            np.seterr(**self.numpy)
+        if (torch := sys.modules.get("torch")) is not None:
+            torch.set_default_dtype(self.torch or torch.float32)
+        if self.filters != present.filters:
+            warnings.resetwarnings()
+            warnings.filters.extend(self.filters)  # type: ignore[attr-defined]  # typeshed calls it a sequence
+        if self.folder and self.folder != present.folder:
+            os.chdir(self.folder)
+        sys.argv = self.argv
+
+
+_theirs: list[_Settings] = []
+"""What users' code in this process has set so far; at most one."""
+
+
+def _handlers() -> tuple[dict[int, Any], set[int]]:
+    """Return the handlers of SIGNALS and the blocked signals; only the main thread can put them back."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}, set()
+    return {number: signal.getsignal(number) for number in SIGNALS}, set(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+
+
+def _restore(handlers: tuple[dict[int, Any], set[int]]) -> None:
+    present = _handlers()
+    for number, handler in handlers[0].items():
+        if present[0][number] is not handler:
+            signal.signal(number, handler)
+    if present[1] != handlers[1]:
+        signal.pthread_sigmask(signal.SIG_SETMASK, handlers[1])
+
+
+def _own_traceback(error: BaseException) -> str:
+    """Return the traceback without this package's frames."""
+    whole = traceback.TracebackException.from_exception(error)
+    hidden = __file__, importlib.__file__
+    own = [part for part in whole.stack if part.filename not in hidden and not part.filename.startswith("<frozen")]
+    whole.stack = traceback.StackSummary.from_list(own)
+    return "".join(whole.format())
+
+
+def _are_mappings(found: Any, count: int | None = None) -> bool:
+    if not isinstance(found, tuple | list) or count not in (None, len(found)):
+        return False
+    return all(isinstance(part, Mapping) for part in found)

@@ -1,0 +1,69 @@
+"""Watches over calls of a user's environment that do not return."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from typing import Final, NoReturn
+
+from eia_sec.common.log import log
+from eia_sec.rollout.envs.guard import Guard
+
+PERIOD_SECONDS: Final = 1.0
+ALARM_SECONDS: Final = (10, 60, 600, 3600)
+"""Times after which a call that has not returned is said; each has a sentence of its own."""
+STUCK_SECONDS: Final = 10.0
+"""Time that a call may take once the process should end; its supervisor kills it after 8 s, if there is one."""
+
+
+class Watchdog:
+    """A thread that speaks for its process while the main thread is inside a user's code.
+
+    Args:
+        limit: seconds after which it ends the process because a call has not returned; 0 for none.
+        speak: called every second of a call that takes longer than that, from this thread.
+        ends: whether the process should end.
+    """
+
+    def __init__(self, limit: float, speak: Callable[[], None], ends: Callable[[], bool] = lambda: False) -> None:
+        self.speak = speak
+        self._limit, self._ends = limit, ends
+        self._closed = threading.Event()
+        self._ending_since: float | None = None
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closed.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closed.wait(PERIOD_SECONDS):
+            running, now = Guard.running, time.monotonic()
+            if self._ends() and self._ending_since is None:
+                self._ending_since = now
+            if running is None or running.seconds < PERIOD_SECONDS:
+                continue
+            self.speak()
+            told = f"{running.environment} has been in {running.method} for {running.seconds:.0f} s"
+            if 0.0 < self._limit < running.seconds:
+                _leave(f"{told}, longer than env.step_timeout {self._limit:g}; this process ends.")
+            if self._ending_since is not None and now - max(self._ending_since, running.since) > STUCK_SECONDS:
+                _leave(f"{told}, and is not waited for any longer; this process ends.")
+
+
+def call_alarm() -> str:
+    """Return a sentence about a call that has not returned for one of ALARM_SECONDS, or an empty string."""
+    running = Guard.running
+    passed = [] if running is None else [limit for limit in ALARM_SECONDS if running.seconds >= limit]
+    return f"{running.environment} has been in {running.method} for {passed[-1]} s." if running and passed else ""
+
+
+def _leave(sentence: str) -> NoReturn:
+    """End this process, whose main thread cannot, and the processes that its environments have started."""
+    log(sentence)
+    if os.getpgrp() == os.getpid():  # as a supervisor starts it; else others are in the group
+        os.killpg(0, signal.SIGTERM)  # this process only notes it
+    os._exit(1)

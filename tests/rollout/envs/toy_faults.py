@@ -1,0 +1,151 @@
+"""Environments that each do one thing that they should not; every one of them begins as a sound `Relay`."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+
+import numpy as np
+from gymnasium import spaces
+
+sys.path.insert(0, os.path.dirname(__file__))
+from toy_env import Relay
+
+MARK = os.environ.get("TOY_MARK", "toy")
+
+
+class Raising(Relay):
+    """Raises an exception in the named method."""
+
+    def __init__(self, where="step", exits=False):
+        self.where, self.exits = where, exits
+        super().__init__()
+        self.fail("construction")
+
+    def fail(self, method):
+        if method == self.where:
+            if self.exits:
+                sys.exit(0)
+            raise ValueError("no such gear")
+
+    def reset(self, seed=None, options=None):
+        self.fail("reset")
+        return super().reset(seed)
+
+    def step(self, actions):
+        self.fail("step")
+        return super().step(actions)
+
+    def observation_space(self, agent):
+        self.fail("observation_space")
+        return super().observation_space(agent)
+
+    def close(self):
+        super().close()
+        self.fail("close")
+
+
+class Wrong(Relay):
+    """Returns something else than PettingZoo asks for."""
+
+    def __init__(self, what):
+        super().__init__()
+        self.what = what
+        if what == "twice":
+            self.possible_agents = ["runner_0", "runner_0", "keeper_0"]
+
+    def observation_space(self, agent):
+        found = super().observation_space(agent)
+        if self.what == "space":
+            return (2,)
+        if self.what == "pixels" and agent == "keeper_0":
+            return spaces.Box(0, 255, (210, 261, 3), np.uint8)
+        return found
+
+    def reset(self, seed=None, options=None):
+        seen, infos = super().reset(seed)
+        if self.what == "observations alone":
+            return seen
+        if self.what == "unseen":
+            del seen["keeper_0"]
+        if self.what == "infos":
+            infos["runner_1"] = None
+        return seen, infos
+
+    def step(self, actions):
+        seen, rewards, *others = super().step(actions)
+        if self.what == "four":
+            return seen, rewards, others[0], others[2]
+        rewards["keeper_0"] = {"none": None, "list": np.ones(1), "huge": 3e7, "nan": np.nan}.get(self.what, 1.0)
+        if self.what in ("far", "infinite"):
+            seen["runner_1"][1] = 2.5e7 if self.what == "far" else np.inf
+        if self.what == "short":
+            seen["runner_1"] = np.zeros(1)
+        return seen, rewards, *others
+
+
+class Meddling(Relay):
+    """Sets what belongs to the whole process, and needs it so."""
+
+    def __init__(self):
+        super().__init__()
+        import torch  # noqa: PLC0415  # as late as a user's might
+
+        self.meddle(torch)
+
+    def meddle(self, torch):
+        np.seterr(all="raise")
+        torch.set_default_dtype(torch.float64)
+        warnings.simplefilter("error")
+        os.chdir("/")
+        sys.argv = ["mine"]
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD):
+            signal.signal(number, signal.SIG_IGN)
+
+    def step(self, actions):
+        import torch  # noqa: PLC0415  # loaded by then
+
+        assert np.geterr()["over"] == "raise"
+        assert torch.get_default_dtype() == torch.float64
+        assert os.getcwd() == "/"
+        assert sys.argv == ["mine"]
+        return super().step(actions)
+
+
+class Late(Relay):
+    """Shows a runner something far away from the hundredth step on."""
+
+    steps = 0
+
+    def step(self, actions):
+        seen, *others = super().step(actions)
+        Late.steps += 1
+        if Late.steps > 100 and "runner_0" in seen:
+            seen["runner_0"][1] = -4e8
+        return seen, *others
+
+
+class Simulated(Relay):
+    """Holds a process of its own, which only `close` ends; may crash or hang after some steps."""
+
+    def __init__(self, crash=0, hang=0, pause=0.0):
+        super().__init__()
+        self.crash, self.hang, self.pause, self.made = crash, hang, pause, 0
+        # The last word is what a test looks for.
+        self.process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", MARK])
+
+    def step(self, actions):
+        self.made += 1
+        time.sleep(self.pause)
+        if self.made == self.crash:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.made == self.hang:
+            time.sleep(600)
+        return super().step(actions)
+
+    def close(self):
+        super().close()
+        self.process.kill()
+        self.process.wait()
