@@ -58,10 +58,9 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
         "team": json.dumps(actors.team.to_dict()),
         "hidden": str(actors.hidden),
         "head": actors.head,
+        "memory": actors.memory,
         "digest": _digest(stored),
     }
-    if actors.memory != "none":  # files of actors without memory are those of earlier versions
-        header["memory"] = actors.memory
     names = [group.name for group in actors.team.groups]
     data = save(dict(zip(names, stored, strict=True)), metadata=header)
     if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
@@ -85,8 +84,8 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
     try:
         header, metadata, held = _header(data)
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
-        head = checked_head(metadata.get("head", "deterministic"))  # older files name no head
-        memory = checked_memory(metadata.get("memory", "none"))
+        head = checked_head(metadata["head"])
+        memory = checked_memory(metadata["memory"])
         _compare(header, team, hidden, (head, memory), held)
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]

@@ -6,6 +6,7 @@ agents. Types may differ in observation and action size, so a row is ragged acro
 
 import hashlib
 import itertools
+import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final
@@ -13,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes
+from eia_sec.common.actions.adapters import ActionAdapter
 from eia_sec.common.actions.descriptions import adapter_from_dict, adapter_to_dict
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import ConfigError, SchemaError
@@ -105,57 +106,25 @@ class GroupSpec:
             "observation_size": self.observation_size,
             "action_size": self.action_size,
             "adapters": [adapter_to_dict(adapter) for adapter in self.adapters],
-            **({"choices": list(self.choices), "masked": self.masked} if self.choices else {}),
+            "choices": list(self.choices),
+            "masked": self.masked,
         }
 
     @classmethod
     def from_dict(cls, data: Any) -> "GroupSpec":
-        """Return the group in the output of `to_dict`, or in the list that earlier versions wrote.
+        """Return the group in the output of `to_dict`.
 
         Raises:
             TypeError, ValueError, KeyError or ConfigError: when `data` describes no group.
         """
-        if isinstance(data, list):
-            return cls._from_list(data)
         values = dict(data)
         adapters = tuple(adapter_from_dict(part) for part in values.pop("adapters"))
         if not all(type(values.get(name)) is int for name in ("count", "observation_size", "action_size")):
             raise ValueError("a count or a size is not a whole number")
-        choices, masked = values.pop("choices", []), values.pop("masked", False)
+        choices, masked = values.pop("choices"), values.pop("masked")
         if type(masked) is not bool or len(choices) > MOST_BRANCHES or any(type(size) is not int for size in choices):
             raise ValueError("choices are not whole numbers, or masked is neither true nor false")
         return cls(str(values.pop("name")), **values, adapters=adapters, choices=tuple(choices), masked=masked)
-
-    @classmethod
-    def _from_list(cls, data: list[Any]) -> "GroupSpec":
-        """Read [name, count, observation size, action size], optionally a lattice's four numbers or null, and true."""
-        name, count, observation_size, action_size, *rest = data
-        if len(rest) > 2 or (len(rest) == 2 and rest[1] is not True):
-            raise ValueError("a group has at most six entries, and the sixth is true")
-        adapters: list[ActionAdapter] = []
-        if rest and (len(rest) == 1 or rest[0] is not None):
-            columns, rows, reach_x, reach_y = rest[0]
-            adapters.append(Lattice(int(columns), int(rows), float(reach_x), float(reach_y)))
-        adapters += [MirroredAxes()] * (len(rest) == 2)
-        return cls(str(name), int(count), int(observation_size), int(action_size), tuple(adapters))
-
-    def _digest_text(self) -> str:
-        """Return the text that the team's digest covers; teams of earlier versions keep their digests."""
-        parts: list[Any] = [self.name, self.count, self.observation_size, self.action_size]
-        match self.adapters:
-            case ():
-                pass
-            case (Lattice() as lattice,) if lattice.inset == CENTRE:
-                parts.append([lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y])
-            case (MirroredAxes(),):
-                parts += [None, True]
-            case (Lattice() as lattice, MirroredAxes()) if lattice.inset == CENTRE:
-                parts += [[lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y], True]
-            case _:
-                parts += [adapter_to_dict(adapter) for adapter in self.adapters]
-        if self.choices:
-            parts += ["choices", *self.choices, self.masked]
-        return ",".join(map(str, parts))
 
 
 @dataclass(frozen=True)
@@ -266,7 +235,7 @@ class TeamSpec:
     @cached_property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that identify this layout; equal layouts have equal digests."""
-        text = ";".join(group._digest_text() for group in self.groups)
+        text = json.dumps(self.to_dict(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

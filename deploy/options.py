@@ -19,7 +19,6 @@ from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import from_toml, with_setting
-from eia_sec.common.config.former import refuse_ablation
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
@@ -53,7 +52,6 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
     farm_file = _value_of(arguments, "--farm-file")
     config = _named_configuration(arguments, default)
     if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
-        refuse_ablation(name)
         config = replace(config, algorithm=switched(config.algorithm, name))
     return with_farm_file(config, Path(farm_file)) if farm_file else config
 

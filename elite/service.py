@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, ProtocolError
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule

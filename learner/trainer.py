@@ -25,7 +25,7 @@ from eia_sec.common.errors import SchemaError
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
-from eia_sec.learner.checkpoint.trainer_state import counter, current_names, episode_record, episode_summaries
+from eia_sec.learner.checkpoint.trainer_state import counter, episode_record, episode_summaries
 from eia_sec.learner.data.tensor_snapshot import Frozen, whole
 from eia_sec.learner.networks.device import usable_device
 
@@ -196,7 +196,6 @@ class Trainer(ABC):
         Raises:
             CheckpointError: when something is missing or does not fit the configuration.
         """
-        tensors, state = current_names(tensors, state)
         counts = {name: counter(state, name) for name in COUNTERS}
         recent = episode_summaries(state.get("recent"))
         self.restore_parts(tensors, state)

@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import read_saved
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.heuristics.registry import HEURISTICS

@@ -10,7 +10,8 @@ import numpy as np
 
 from eia_sec.common.actors import TeamActors, actor_outputs, acts_alike, parameter_count
 from eia_sec.common.config import OnPolicyConfig, RunConfig
-from eia_sec.common.config.presets import preset, read_saved
+from eia_sec.common.config.files import read_saved
+from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, PolicyError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.names import NAME

@@ -11,7 +11,7 @@ the agent's own observation, for instance a mask of allowed actions.
 
 import math
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, Final, Protocol
 
@@ -31,10 +31,6 @@ GAIN: Final = 1.5
 """An output of magnitude above 1 / (2 GAIN), a third, selects the neighbouring lattice point."""
 EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
-LATER: Final = "later"
-"""Marks fields that earlier versions did not have."""
-HINT: Final = "hint"
-"""Marks fields that only fresh policies need. They are no part of a description, for files and for the wire."""
 CENTRE: Final = 0.5
 """Inset of a lattice whose steps end at the cells' centres."""
 NEAR: Final = 1e-6
@@ -105,7 +101,7 @@ class Lattice:
     rows: int
     reach_x: float
     reach_y: float
-    inset: float = field(default=CENTRE, metadata={LATER: True})
+    inset: float = CENTRE
 
     def __post_init__(self) -> None:
         """Refuse lattices without points, agents that cannot move, and places outside a cell or at its very border."""
@@ -219,8 +215,8 @@ class NineMoves:
     options: ClassVar[int] = 9
 
     suggestion: int = -1
-    worth: int = field(default=-1, compare=False, metadata={HINT: True})
-    harm: int = field(default=-1, compare=False, metadata={HINT: True})
+    worth: int = -1
+    harm: int = -1
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless the action is one index and observations hold the suggestion and the hints."""
@@ -285,9 +281,9 @@ class Headings:
     medium: float
     fast: float
     reach: float
-    suggestion: int = field(default=-1, metadata={LATER: True})
-    potential: int = field(default=-1, compare=False, metadata={HINT: True})
-    time_left: int = field(default=-1, compare=False, metadata={HINT: True})
+    suggestion: int = -1
+    potential: int = -1
+    time_left: int = -1
 
     def __post_init__(self) -> None:
         """Refuse speeds outside 0..1, and agents that cannot move."""

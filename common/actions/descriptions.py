@@ -1,10 +1,10 @@
 """Plain descriptions of action adapters, for the wire and for files."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import fields
 from typing import Any, Final
 
-from eia_sec.common.actions.adapters import HINT, LATER, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
 from eia_sec.common.errors import ConfigError
 
 ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
@@ -17,22 +17,8 @@ ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] |
 
 
 def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
-    """Return a plain description for the wire and for files.
-
-    Fields marked LATER are left out at their defaults, so that teams of earlier versions keep their digests. Fields
-    marked HINT are left out always.
-    """
-    found: dict[str, Any] = {"kind": adapter.kind}
-    for each in _described(ADAPTERS[adapter.kind]):
-        value = getattr(adapter, each.name)
-        if LATER not in each.metadata or value != each.default:
-            found[each.name] = value
-    return found
-
-
-def _described(kind: Any) -> list[Field[Any]]:
-    """Return the fields of a kind of adapter that its description holds."""
-    return [each for each in fields(kind) if HINT not in each.metadata]
+    """Return a plain description for the wire and for files."""
+    return {"kind": adapter.kind, **{each.name: getattr(adapter, each.name) for each in fields(ADAPTERS[adapter.kind])}}
 
 
 def adapter_from_dict(data: Any) -> ActionAdapter:
@@ -43,10 +29,9 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
     """
     if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
         raise ConfigError("the description of an action adapter names an unknown kind.")
-    wanted = {each.name: int if each.type is int else float for each in _described(kind)}
-    needed = {each.name for each in fields(kind) if each.default is MISSING}
+    wanted = {each.name: int if each.type is int else float for each in fields(kind)}
     values = {name: value for name, value in data.items() if name != "kind"}
-    if not needed <= values.keys() <= wanted.keys():
+    if values.keys() != wanted.keys():
         raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")
     for name, value in values.items():
         if type(value) is not wanted[name] and not (wanted[name] is float and type(value) is int):

@@ -22,7 +22,6 @@ from eia_sec.common.config.farm.polygons import MAX_CORNERS
 from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites
 from eia_sec.common.config.farm.stress import MAX_AREAS, Area, Areas
 from eia_sec.common.config.farm.zones import MAX_ZONES, Zones
-from eia_sec.common.config.former import refuse_ablation, upgraded
 from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.errors import ConfigError
 
@@ -34,51 +33,6 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
-
-LATER: Final[Mapping[str, Value]] = {
-    "algorithm.memory": "none",
-    "algorithm.objective": "ppo",
-    "algorithm.sequence_steps": 50,
-    "algorithm.start_policy": "",
-    "algorithm.suggestion_logits": "",
-    "algorithm.value_steps": 0,
-    "env.step_timeout": 0.0,
-    "farm.battery.capacity": 0.0,
-    "farm.battery.failsafe": 0.0,
-    "farm.battery.landing": 5.0,
-    "farm.battery.power": 400.0,
-    "farm.battery.stations": 4,
-    "farm.control.collection_inset": 0.5,
-    "farm.control.monitoring_inset": 0.5,
-    "farm.failures.at": "",
-    "farm.failures.missing": 0.0,
-    "farm.failures.per_hour": 0.0,
-    "farm.observation.advice": "",
-    "farm.observation.charge": False,
-    "farm.observation.link": False,
-    "farm.observation.plan": 0,
-    "farm.observation.plan_paths": 27,
-    "farm.observation.route": False,
-    "farm.observation.stress": False,
-    "farm.observation.wind": False,
-    "farm.observation.zones": False,
-    "farm.relay.base": "",
-    "farm.relay.hop_range": 200.0,
-    "farm.reward.relayed": 0.0,
-    "farm.stress.areas": (),
-    "farm.stress.growth": 3,
-    "farm.stress.patches": 0,
-    "farm.stress.radius": 60.0,
-    "farm.stress.seconds": 200.0,
-    "farm.wind.direction": -1.0,
-    "farm.wind.gust_seconds": 10.0,
-    "farm.wind.gusts": 0.0,
-    "farm.wind.speed": 0.0,
-    "farm.zones.polygons": (),
-    "farm.zones.random": 0,
-    "learner.update_threads": 2,
-}
-"""Options that earlier versions did not have, with the values under which a run is what it was before."""
 
 _LONG: Final = 8
 """Longest list that a message shows in full."""
@@ -104,12 +58,8 @@ def flatten(config: Any) -> dict[str, Value]:
 
 def to_toml(config: RunConfig) -> str:
     """Return the whole configuration as TOML; `from_toml` returns an equal one."""
-    return _toml(flatten(config))
-
-
-def _toml(flat: Mapping[str, Value]) -> str:
     sections: dict[str, list[str]] = {"": []}
-    for key, value in flat.items():
+    for key, value in flatten(config).items():
         section, _, name = key.rpartition(".")
         sections.setdefault(section, []).append(f"{name} = {format_value(value)}")
     blocks = ["\n".join(([f"[{name}]"] if name else []) + lines) for name, lines in sections.items()]
@@ -136,24 +86,25 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
         raise
 
 
-def from_saved(source: str | Path, base: RunConfig) -> RunConfig:
-    """Return the complete configuration that this version or an earlier one saved.
-
-    Options of LATER that it leaves out have the values under which a run is what it was, whatever the defaults are now.
+def read_saved(source: str | Path) -> RunConfig:
+    """Return the configuration that `to_toml` wrote, for instance of a run.
 
     Args:
         source: TOML text, or the path of a file that holds it.
-        base: the values of other keys that the source leaves out.
 
     Raises:
-        ConfigError: see `from_toml`.
+        ConfigError: see `from_toml`; or it leaves an option out, as a file of another version may.
     """
     table = _table(source)
-    found = _merged(base, table)
-    flat = flatten(found)
-    left_out = {key: value for key, value in LATER.items() if key in flat and not _holds(table, key)}
-    changed = {key: value for key, value in left_out.items() if flat[key] != value}
-    return with_values(found, changed) if changed else found
+    where = f"{source}: " if isinstance(source, Path) else ""
+    try:
+        found = _merged(RunConfig(), table)
+    except ConfigError as error:
+        raise ConfigError(f"{where}{error}") from None
+    missing = [key for key in flatten(found) if not _holds(table, key)]
+    if missing:
+        raise ConfigError(f"{where}a run's configuration has every option, but {missing[0]} is missing.")
+    return found
 
 
 def _holds(table: Mapping[str, Any], key: str) -> bool:
@@ -164,14 +115,13 @@ def _holds(table: Mapping[str, Any], key: str) -> bool:
 
 
 def _table(source: str | Path) -> dict[str, Any]:
-    """Return the table of a TOML text or file, with names of earlier versions replaced by present ones."""
+    """Return the table of a TOML text or file."""
     text = _read(source) if isinstance(source, Path) else source
     try:
-        table = tomllib.loads(text)
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         where = f"{source} is" if isinstance(source, Path) else "this is"
         raise ConfigError(f"{where} not valid TOML: {str(error).lower().rstrip('.')}.") from error
-    return upgraded(table)
 
 
 def with_setting(config: RunConfig, setting: str) -> RunConfig:
@@ -187,8 +137,6 @@ def with_setting(config: RunConfig, setting: str) -> RunConfig:
         raise ConfigError(f"a setting is KEY=VALUE, farm.world.density=clustered for instance, not {setting!r}.")
     if _WORD.fullmatch(value) and not _is_toml(value):
         value = format_value(value)
-    if key == "algorithm.name":
-        refuse_ablation(value.strip("\"'"))
     return from_toml(f"{key} = {value}", config)
 
 
@@ -208,12 +156,8 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 
 
 def digest(config: RunConfig) -> str:
-    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests.
-
-    Options of LATER with these values are left out, so that checkpoints and records of earlier versions still count.
-    """
-    flat = {key: value for key, value in flatten(config).items() if (key, value) not in LATER.items()}
-    return hashlib.sha256(_toml(flat).encode()).hexdigest()[:16]
+    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests."""
+    return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
 
 
 def method_of(config: RunConfig) -> RunConfig:
@@ -238,7 +182,7 @@ def format_value(value: Value | Area) -> str:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"the configuration file {path} cannot be read: {reason}.") from error

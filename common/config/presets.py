@@ -6,11 +6,10 @@ The preset `default` stands nowhere in this file: it is the dataclasses' own def
 it. docs/reference/configuration.md lists each option's value in each preset.
 """
 
-from pathlib import Path
 from typing import Final
 
 from eia_sec.common.config.ablations import ABLATIONS
-from eia_sec.common.config.files import from_saved, from_toml, with_values
+from eia_sec.common.config.files import from_toml, with_values
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import ConfigError
 
@@ -177,7 +176,7 @@ updates_per_step = 0.125
 """The configuration in which studies compare methods, over `eia-sec`; PettingZoo and Gymnasium users get its farm.
 
 It lists every field that departs from `eia-sec`. When a default changes, the old value moves there or here, because the
-studies' records and the files saved by older versions depend on it.
+studies' records depend on it.
 """
 
 PAPER: Final = """
@@ -255,8 +254,6 @@ PRESETS: Final[dict[str, RunConfig]] = {
     **{name: with_values(_EIA_SEC, changes) for name, changes in ABLATIONS.items()},
 }
 """Every preset by name; those of `eia_sec.common.config.ablations` are `eia-sec` with a part switched off."""
-SAVED: Final = "study"
-"""The preset that completes configurations saved by older versions: it holds the values of keys that they lack."""
 
 
 def preset(name: str) -> RunConfig:
@@ -264,15 +261,3 @@ def preset(name: str) -> RunConfig:
     if name not in PRESETS:
         raise ConfigError(f"there is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
     return PRESETS[name]
-
-
-def read_saved(source: str | Path) -> RunConfig:
-    """Return a complete configuration that this version or an older one saved.
-
-    Args:
-        source: TOML text, or the path of a file that holds it.
-
-    Raises:
-        ConfigError: see `eia_sec.common.config.files.from_toml`.
-    """
-    return from_saved(source, PRESETS[SAVED])

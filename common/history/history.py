@@ -14,8 +14,7 @@ The fourth form is a verdict on chunks `first` to `last` of one start of a worke
 
 A worker writes *produced* for each chunk, and then the learner's answer: *acknowledged*, *repeated* (the learner had it
 already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
-arrive). In lines with *duplicate* or *missing*, `steps` is the total of the line. Earlier versions wrote made, told and
-again for *produced*, *acknowledged* and *repeated*.
+arrive). In lines with *duplicate* or *missing*, `steps` is the total of the line.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
 The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
@@ -42,8 +41,6 @@ MOST_JOINED: Final = 2**24
 VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing")
 SUMMED: Final = ("duplicate", "missing")
 """Verdicts whose lines hold a total, not one chunk after another."""
-_FORMER: Final = {"made": "produced", "told": "acknowledged", "again": "repeated"}
-"""Verdicts as earlier versions wrote them."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +138,7 @@ def parse(line: str) -> Record:
                 return End()
             case ["sum", str(worker), *numbers] if len(numbers) == len(fields(Summary)) - 1:
                 return Summary(_name(worker), *_whole(*numbers))
-            case [str(written), str(worker), *numbers] if len(numbers) == 6:
-                verdict = _FORMER.get(written, written)
+            case [str(verdict), str(worker), *numbers] if len(numbers) == 6:
                 entry = Entry(verdict, _name(worker), *_whole(*numbers))
                 if verdict not in VERDICTS:
                     raise ValueError("the line has an unknown verdict")

@@ -62,23 +62,20 @@ def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
 
 
 def _optional_shapes(message: ViewMessage, farm: FarmConfig, frames: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of those optional arrays that a message has.
-
-    One that is missing is allowed: workers of earlier versions do not send it.
+    """Return the shapes of those optional arrays that the farm has a use for.
 
     Raises:
-        SchemaError: there is one for which the farm has no use.
+        SchemaError: one of them is missing, or there is one for which the farm has no use.
     """
     shapes = {
         "gone": (farm.loses_uavs, (frames, farm.world.uavs)),
         "charge": (farm.battery.some, (frames, farm.world.uavs)),
         "known": (farm.stress.patches > 0, (frames, farm.stress.patches)),
     }
-    sent = {name: entry for name, entry in shapes.items() if getattr(message, name) is not None}
-    for name, (wanted, _) in sent.items():
-        if not wanted:
-            raise SchemaError(f"array {name} is of no use in this farm.")
-    return {name: shape for name, (_, shape) in sent.items()}
+    for name, (wanted, _) in shapes.items():
+        if wanted != (getattr(message, name) is not None):
+            raise SchemaError(f"array {name} is {'missing' if wanted else 'of no use in this farm'}.")
+    return {name: shape for name, (wanted, shape) in shapes.items() if wanted}
 
 
 def _within(values: NDArray[Any], most: NDArray[np.float64], least: float, name: str) -> None:

@@ -12,8 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from eia_sec.common.config.files import differences, method_of
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import differences, method_of, read_saved
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json

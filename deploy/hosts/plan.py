@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Final
 
-from eia_sec.common.config.presets import SAVED
 from eia_sec.common.transport.credentials import Identity
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
 from eia_sec.deploy.local.run_directory import HISTORY
@@ -104,7 +103,7 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
-    trained = ("--preset", SAVED, "--config", places.config)
+    trained = ("--config", places.config)
     kept = ("--run-dir", places.run_dir, *trained, "--resume-if-any", "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
     arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)

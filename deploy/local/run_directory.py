@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.config.files import differences, method_of, to_toml
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import differences, method_of, read_saved, to_toml
 from eia_sec.common.errors import RunDirError
 from eia_sec.deploy.local.file_ends import last_lines
 
@@ -151,7 +150,7 @@ class RunDirectory:
             raise
 
     def configuration(self) -> RunConfig:
-        """Return the configuration; options that an older version did not have keep that version's behaviour.
+        """Return the configuration.
 
         Raises:
             RunDirError: the folder has no configuration.

@@ -142,8 +142,7 @@ class RunStorage:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        # Earlier versions saved no digest of this name. The caller has already compared config.toml.
-        if manifest.get("method", self._method) != self._method:
+        if manifest.get("method") != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
         ledger.restore(mapping(manifest, "intake"))

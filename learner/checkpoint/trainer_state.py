@@ -12,23 +12,6 @@ from torch import Tensor
 from eia_sec.common.errors import CheckpointError
 from eia_sec.common.transitions import EpisodeSummary
 
-RENAMED_TENSORS: Final = {"engine.rounds": "engine.updates"}
-RENAMED_STATE: Final = {"figure_rounds": "diagnostic_updates", "round_noise": "update_noise"}
-"""Names in earlier checkpoints, and their current names."""
-
-
-def current_names(tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Return a checkpoint's tensors and values under their current names."""
-    prefixed = {
-        name.replace("figures.", "diagnostics.", 1) if name.startswith("figures.") else name: tensor
-        for name, tensor in tensors.items()
-    }
-    return (
-        {RENAMED_TENSORS.get(name, name): tensor for name, tensor in prefixed.items()},
-        {RENAMED_STATE.get(name, name): value for name, value in state.items()},
-    )
-
-
 MOST_COUNT: Final = 2**62
 """Upper bound of a run's counters; no run comes near it, and messages could not carry larger ones."""
 MOST_EPISODES: Final = 4096
@@ -139,8 +122,6 @@ def episode_summaries(records: Any) -> list[EpisodeSummary]:
 
 def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
     values = dict(record)
-    if "figures" in values:  # as earlier versions wrote it
-        values["metrics"] = values.pop("figures")
     metrics = {str(name): _number(value) for name, value in values["metrics"].items()}
     reward = tuple(_number(value) for value in values["reward"])
     episode = EpisodeSummary(**{**values, "reward": reward, "metrics": metrics})

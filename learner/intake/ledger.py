@@ -244,7 +244,7 @@ class Ledger:
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint's ledger; raise CheckpointError when it is malformed."""
         try:
-            self.closed = _ended(state["closed"])
+            self.closed = _account(state["closed"])
             self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise CheckpointError(f"the checkpoint's ledger cannot be read: {error}") from error
@@ -303,18 +303,15 @@ def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
     return {"produced": sum(part.flown for part in parts), **sums}
 
 
-def _ended(entry: dict[str, Any]) -> WorkerLedger:
-    """Return a checkpoint's sum of ended starts; an older format stores too small a `produced`."""
-    return replace(_account(entry), produced=entry["flown"])
-
-
 def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
-    earlier = entry.get("earlier")
-    return replace(_account({**entry, "earlier": None}), earlier=None if earlier is None else _ended(earlier))
+    earlier = entry["earlier"]
+    return replace(_account({**entry, "earlier": None}), earlier=None if earlier is None else _account(earlier))
 
 
 def _account(entry: dict[str, Any]) -> WorkerLedger:
     """Return one account; raise ValueError when a field is not a count."""
+    if entry.keys() != {field.name for field in fields(WorkerLedger)}:
+        raise ValueError("a field is missing")
     account = WorkerLedger(**entry)
     for field in fields(WorkerLedger):
         value = getattr(account, field.name)

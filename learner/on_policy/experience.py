@@ -1,6 +1,5 @@
 """The rows of one iteration, and how they are split by type of agent."""
 
-from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -10,7 +9,6 @@ from torch import Tensor
 
 from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.errors import CheckpointError, SchemaError
-from eia_sec.common.protocol.bfloat16 import to_bits
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows
 from eia_sec.learner.data.array_tensors import as_array, as_tensor
@@ -24,22 +22,18 @@ STATE: Final = "state"
 class Experience:
     """Chunks of one iteration, in the order in which they came.
 
-    Args:
-        config: the algorithm's configuration.
-
     Attributes:
         steps: environment steps in them.
         lag: sum over the steps of their policies' ages when they came, in parameter versions.
     """
 
-    def __init__(self, config: OnPolicyConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self._chunks: list[Rows] = []
         self.steps = self.lag = 0
 
     def add(self, chunk: Chunk, lag: int) -> None:
         """Add a chunk whose policy is `lag` versions old."""
-        self._chunks.append(_as_configured(chunk.rows, self._config))
+        self._chunks.append(chunk.rows)
         self.steps += chunk.rows.steps
         self.lag += lag * chunk.rows.steps
 
@@ -76,13 +70,12 @@ class Experience:
         Raises:
             CheckpointError: when it does not fit the team or its count of steps.
         """
-        found = cls(config)
+        found = cls()
         if steps == 0:
             return found
         names = FIELDS if config.memory == "none" else (*FIELDS, STATE)
         rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in names})
         try:
-            rows = _as_configured(rows, config)  # earlier versions kept all observations as float32
             rows.check(team, config.memory_size, rounded=config.bfloat16_observations)
             if rows.state is not None and len(rows.steps_by_environment()) % config.sequence_steps:
                 raise SchemaError("an environment's steps are not whole sequences.")
@@ -131,19 +124,6 @@ def _array(tensors: dict[str, Tensor], name: str) -> Any:
     if tensor is None or tensor.dtype not in (torch.float32, torch.bfloat16, torch.uint8):
         raise CheckpointError(f"the checkpoint's {name} is missing or has an impossible type.")
     return as_array(tensor)
-
-
-def _as_configured(rows: Rows, config: OnPolicyConfig) -> Rows:
-    """Return the rows with observations as the configuration wants them.
-
-    Raises:
-        SchemaError: they are bfloat16 numbers in a run that wants float32, or of any other type.
-    """
-    if rows.observation.dtype == (np.uint16 if config.bfloat16_observations else np.float32):
-        return rows
-    if rows.observation.dtype != np.float32:
-        raise SchemaError(f"observations of rows are {rows.observation.dtype}, not float32.")
-    return replace(rows, observation=to_bits(rows.observation.view(np.float32)))
 
 
 def fields_of(rows: Rows) -> tuple[str, ...]:

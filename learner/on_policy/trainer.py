@@ -63,7 +63,7 @@ class OnPolicyTrainer(Trainer):
         algorithm = self._algorithm = config.on_policy
         self._updates = Updates(algorithm, team, config.seed, config.learner)
         self.random = stream(config.seed, "minibatches")
-        self.experience, self.following = Experience(algorithm), Experience(algorithm)
+        self.experience, self.following = Experience(), Experience()
         self.iterations = 0
         self._pending: list[NDArray[np.int64]] = []
         self._epochs_left = 0
@@ -138,7 +138,7 @@ class OnPolicyTrainer(Trainer):
         self._lag = self.experience.lag / self.experience.steps
         self._updates.diagnostics.end()
         self._updates.end()
-        self.experience, self.following = self.following, Experience(self._algorithm)
+        self.experience, self.following = self.following, Experience()
         self.iterations += 1
 
     def actors(self) -> TeamActors:
@@ -228,8 +228,8 @@ class OnPolicyTrainer(Trainer):
         chunk = rollout.chunk_rows(rollout.chunk_steps)
         whole = self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2
         rows = (2 * whole + DRAINED_CHUNKS) * chunk
-        # Checkpoints of earlier versions hold all observations as float32.
-        row = 4 * (team.observation_size + team.action_size + 4 * team.agents) + ROW_BYTES
+        observed = (2 if self.config.bfloat16_observations else 4) * team.observation_size
+        row = observed + 4 * (team.action_size + 4 * team.agents) + ROW_BYTES
         return int(networks + rows * row + self._largest_states(2 * whole + DRAINED_CHUNKS, whole))
 
     def _largest_states(self, chunks: int, whole: int) -> int:

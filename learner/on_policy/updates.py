@@ -252,8 +252,7 @@ class Updates:
     def network_tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Yield views of all layers and Adam's moments of them by name; moments are zeros before the first step.
 
-        Writing to them restores a state. Adam counts the steps of a whole stack; the count stands beside each layer,
-        as earlier versions wrote it.
+        Writing to them restores a state. Adam counts the steps of a whole stack; the count stands beside each layer.
         """
         for owner, module in self._all_networks:
             for name, stack in module.named_modules():

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.config.files import digest, to_toml
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import digest, read_saved, to_toml
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.log import log
 from research.studies.record_checks import check_result

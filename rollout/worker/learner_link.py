@@ -3,8 +3,7 @@
 import time
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.config.files import method_of
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import method_of, read_saved
 from eia_sec.common.errors import ProtocolError, UsageError
 from eia_sec.common.log import log
 from eia_sec.common.policy_store import PolicyStore

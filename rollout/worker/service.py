@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import CancelledError, EiaSecError, EnvironmentFaultError, UsageError
 from eia_sec.common.history.history import History, Start

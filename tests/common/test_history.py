@@ -20,16 +20,6 @@ def test_every_record_comes_back():
 
 
 @pytest.mark.parametrize(
-    ("written", "verdict"), [("made", "produced"), ("told", "acknowledged"), ("again", "repeated")]
-)
-def test_verdicts_of_earlier_versions_are_read(written, verdict):
-    """A history that an earlier version began is continued with today's words."""
-    record = parse(f'["{written}","w",1,2,2,10,20,20]')
-    assert record == Entry(verdict, "w", 1, 2, 2, 10, 20, 20)
-    assert text(record).startswith(f'["{verdict}",')
-
-
-@pytest.mark.parametrize(
     "line",
     [
         '["heard","w",1,1,1,1,1,1]',

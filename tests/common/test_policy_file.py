@@ -84,11 +84,12 @@ def test_actors_with_memory_come_back(tmp_path, shared):
     np.testing.assert_array_equal(*states)
 
 
-def test_files_of_actors_without_memory_are_those_of_earlier_versions(path):
-    """They do not name a memory, which earlier versions would not know."""
-    names: list[str] = []
-    rewrite_header(path, lambda header: names.extend(header["__metadata__"]))
-    assert set(names) == {"format", "team", "hidden", "head", "digest", *PROVENANCE}
+@pytest.mark.parametrize("name", ["team", "hidden", "head", "memory", "digest"])
+def test_a_file_that_lacks_a_part_of_its_description_is_refused(path, name):
+    """Its error says which."""
+    rewrite_header(path, lambda header: header["__metadata__"].pop(name))
+    with pytest.raises(PolicyError, match=f"not a valid policy file: '{name}' is missing"):
+        load_policy(path)
 
 
 @pytest.mark.parametrize("memory", ["gru", "lstm", ""])

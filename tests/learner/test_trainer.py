@@ -15,7 +15,7 @@ from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.learner.checkpoint import files
-from eia_sec.learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer
+from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = replace(
@@ -212,38 +212,6 @@ def test_a_state_that_does_not_fit_changes_nothing(name, way):
         target.restore(tensors, plain)
     assert target.actors().digest() == before
     assert (target.updates, target.replay.rows, target.environment_steps) == (0, 0, 0)
-
-
-def test_a_checkpoint_under_the_former_names_is_read():
-    """The names that updates and diagnostics had in earlier checkpoints restore the same state."""
-    whole, resumed = OffPolicyTrainer(CONFIG, TEAM), OffPolicyTrainer(CONFIG, TEAM)
-    whole.absorb(chunk(200, episodes=1))
-    whole.train(20)
-    tensors, plain = whole.state()
-    old = {name.replace("diagnostics.", "figures."): tensor for name, tensor in tensors.items()}
-    old["engine.rounds"] = old.pop("engine.updates")
-    plain |= {"figure_rounds": plain.pop("diagnostic_updates"), "round_noise": plain.pop("update_noise")}
-    resumed.restore(old, plain)
-    assert_bit_equal(whole, resumed)
-
-
-def test_a_checkpoint_whose_diagnostics_were_one_tensor_is_taken_up():
-    """Training goes on bit-equal, and the running means, of which one meant something else, begin anew."""
-    whole, resumed = OffPolicyTrainer(CONFIG, TEAM), OffPolicyTrainer(CONFIG, TEAM)
-    whole.absorb(chunk(200, episodes=1))
-    whole.train(20)
-    tensors, plain = whole.state()
-    assert "diagnostics.q_mean" in tensors
-    old = {name: tensor for name, tensor in tensors.items() if not name.startswith("diagnostics.")}
-    resumed.restore(old | {"figures": torch.full((10, TEAM.agents), 1e6)}, plain)
-    assert not any("/" in name for name in resumed.statistics())
-    for trainer in (whole, resumed):
-        trainer.train(DIAGNOSTIC_PERIOD)
-    ours, theirs = whole.engine.tensors(), resumed.engine.tensors()
-    assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
-    newest = resumed.diagnostics.by_agent()
-    assert newest.keys() == {name for name in whole.diagnostics.by_agent() if newest.get(name) is not None}
-    assert all(abs(value) < 100 for value in newest.values())
 
 
 def test_learns_to_match_a_given_action():

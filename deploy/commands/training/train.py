@@ -12,7 +12,6 @@ from rich.live import Live
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
-from eia_sec.common.config.presets import SAVED
 from eia_sec.common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol import keys
@@ -209,7 +208,7 @@ class _Training:
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
         shared = ["--shared-memory"] if options.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
-        learner += ["--preset", SAVED, "--config", str(self._directory.path / CONFIG), "--await-elite"]
+        learner += ["--config", str(self._directory.path / CONFIG), "--await-elite"]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
         again = [] if options.resume or options.lockstep else ["--resume"]

@@ -5,7 +5,7 @@ import time
 from typing import Final
 
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.config.presets import read_saved
+from eia_sec.common.config.files import read_saved
 from eia_sec.common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
 from eia_sec.common.names import is_name
 from eia_sec.common.process import denial

@@ -101,7 +101,7 @@ def test_round_trip(message: Message) -> None:
 
 
 def test_a_field_that_is_none_is_left_out():
-    """Frames of actors without memory are byte for byte those of earlier versions, which did not know these fields."""
+    """Frames of actors without memory have no field for it."""
     with_memory = next(m for m in EXAMPLES if isinstance(m, ChunkMessage))
     without = dataclasses.replace(with_memory, state=None)
     values = {f.name: getattr(without, f.name) for f in dataclasses.fields(without) if f.name != "state"}

@@ -84,12 +84,13 @@ def test_what_does_not_fit_is_refused(change):
 
 
 @pytest.mark.parametrize("name", ["gone", "charge", "known"])
-def test_an_optional_array_is_of_the_farm_or_missing(name):
-    """A farm that has use for it takes it in its shape, or a worker that does not send it; other farms refuse it."""
+def test_an_optional_array_is_sent_where_the_farm_has_a_use_for_it(name):
+    """A farm that has a use for it needs it in its shape; other farms refuse it."""
     parts, whole = len(REWARD_PARTS), a_view_of_conditions()
     array = getattr(whole, name)
-    for sent in (array, None):
-        assert check_view(dataclasses.replace(whole, **{name: sent}), CONDITIONS.farm, parts) is None
+    assert check_view(whole, CONDITIONS.farm, parts) is None
+    with pytest.raises(SchemaError, match=f"array {name} is missing"):
+        check_view(dataclasses.replace(whole, **{name: None}), CONDITIONS.farm, parts)
     for odd in (array[:, 1:].copy(), array[:2].copy(), array[0]):
         with pytest.raises(SchemaError, match=f"array {name} is"):
             check_view(dataclasses.replace(whole, **{name: odd}), CONDITIONS.farm, parts)

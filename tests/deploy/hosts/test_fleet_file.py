@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from eia_sec.common.config.presets import PRESETS, SAVED
+from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import ConfigError, CredentialsError
 from eia_sec.common.transport import credentials
 from eia_sec.deploy.commands.training.learner import LearnerArguments
@@ -73,7 +73,7 @@ def test_the_example_becomes_command_lines():
         assert ("--listen" in words) == (process.role == "router")
     learner = found["learner.learner"].arguments
     assert "--resume-if-any" in learner
-    assert learner[learner.index("--config") - 2 :][:2] == ("--preset", SAVED)
+    assert "--preset" not in learner
     assert "farm-2-7" in found["rollout.farm-2-7"].arguments
 
 

@@ -4,14 +4,11 @@ import pytest
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config.files import from_toml, to_toml, with_setting
-from eia_sec.common.config.presets import PRESETS, SAVED
+from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.policy_file import save_policy
 from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, command, parse_farms, run
-from eia_sec.deploy.commands.policies.fly import farm_of
-from eia_sec.deploy.local.run_directory import RunDirectory
-from eia_sec.deploy.options import base_configuration
 from eia_sec.deploy.policies.replay import Comparison, scenes_of
 
 SMALL = (
@@ -71,24 +68,6 @@ def test_a_run_directory_gives_its_policy_and_its_farm(run_dir):
     assert evaluation.episodes == 2
     same = run(EvaluateArguments(policy=str(run_dir / "policy.safetensors"), farms="5:6", episodes=2, set=SMALL))
     assert same.per_farm == evaluation.per_farm
-
-
-def test_a_run_of_an_older_version_flies_what_it_was_trained_on(tmp_path):
-    """What its configuration does not name is what it was then, and not what the default preset says now."""
-    config = PRESETS["study"]
-    for line in SMALL:
-        config = from_toml(line, config)
-    lines = to_toml(config).splitlines(keepends=True)
-    kept = [line for line in lines if not line.startswith(("mirrored", "potential_discount"))]
-    assert len(kept) == len(lines) - 2
-    (tmp_path / "config.toml").write_text("".join(kept))
-    save_policy(tmp_path / "policy.safetensors", TeamActors.initial(farm_team(config.farm), 8, 0), {})
-    assert len(run(EvaluateArguments(run_dir=tmp_path, farms="5:6")).per_farm) == 1
-    assert farm_of(tmp_path, None) == config.farm
-    assert RunDirectory(tmp_path).configuration() == config
-    whole = ["--preset", SAVED, "--config", str(tmp_path / "config.toml")]
-    assert base_configuration(whole) == config
-    assert base_configuration(whole[2:]) != config
 
 
 def test_a_heuristic_flies_the_farm_of_a_run(run_dir):

@@ -11,7 +11,6 @@ from eia_sec.common.errors import CheckpointError
 from eia_sec.common.protocol.bfloat16 import to_bits
 from eia_sec.common.transitions import TRUNCATED
 from eia_sec.learner.checkpoint import files
-from eia_sec.learner.data.tensor_snapshot import whole
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.checkpoint.test_forged import ODD, places, put
 from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
@@ -102,20 +101,6 @@ def test_a_run_with_rounded_rows_continues_bit_equal(tmp_path, cut):
     assert_bit_equal(after, in_bfloat16())
 
 
-def test_workers_round_what_learners_would_round():
-    """A learner gets the same weights from rows in float32, and from a checkpoint of an earlier version with them."""
-    whole, former = in_bfloat16(), in_bfloat16(STEPS[:7], lambda observation: observation)
-    assert_bit_equal(in_bfloat16(convert=lambda observation: observation), whole)
-    tensors, state = former.state()
-    tensors = dict(tensors)
-    for prefix in ("iteration", "following"):
-        tensors[f"{prefix}.observation"] = tensors[f"{prefix}.observation"].float()
-    after = in_bfloat16(())
-    after.restore(tensors, state)
-    play(after, STEPS[7:], 7)
-    assert_bit_equal(after, whole)
-
-
 def test_the_steps_hold_what_they_are_for(uncut):
     """Two iterations are done, a third runs, and a type stopped before its iteration's last epoch."""
     assert (uncut.iterations, uncut.updates, uncut.experience.steps) == (2, 24, 20)
@@ -152,17 +137,6 @@ def test_forged_rounded_rows_are_refused():
     forged = tensors["iteration.observation"].to(torch.bfloat16)
     with pytest.raises(CheckpointError, match="observations of rows are uint16, not float32"):
         OnPolicyTrainer(configured(), TEAM).restore({**tensors, "iteration.observation": forged}, state)
-
-
-def test_the_bound_of_checkpoints_holds_for_rows_of_earlier_versions(tmp_path):
-    """They kept observations as float32, and a run in bfloat16 may have such checkpoints."""
-    trainer = in_bfloat16(["chunk"] * 60)
-    trainer.train(1)
-    tensors, state = trainer.snapshot()
-    former = {name: whole(tensor) for name, tensor in tensors.items()}
-    former |= {name: former[name].float() for name in former if name.endswith(".observation")}
-    folder = files.save(tmp_path, former, state, keep=1)
-    assert (folder / "tensors.safetensors").stat().st_size < trainer.largest_checkpoint()
 
 
 @pytest.mark.parametrize("name", ["largest", "draining"])

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from eia_sec.common.config.presets import PRESETS, read_saved
+from eia_sec.common.config.files import read_saved
+from eia_sec.common.config.presets import PRESETS
 from research.pages.measurements import HEURISTICS, MEASUREMENTS, NOT_MEASURED, measured, watch_block
 from research.pages.readme_results import default_block, results_block
 from research.studies.methods import TUNED_PRESET
