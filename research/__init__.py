@@ -1,1 +1,1 @@
-"""The paper's studies and our own, one command each; each writes its data, figure and provenance."""
+"""What the results come from: studies, experiments and benchmarks, and the pages that show them."""

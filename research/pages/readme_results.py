@@ -36,7 +36,7 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
     Args:
         study: the results of the study `training`.
         seeds: the results of the study `default`.
-        default: several seeds of the default preset, see `research.seeds`.
+        default: several seeds of the default preset, see `research.experiments.seeds`.
         long: the same of the preset `long`.
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
@@ -173,7 +173,7 @@ def default_block(
         study: the results of the study `training`.
         flown: every policy that has a name, on all farms that are reported on.
         seeds: the results of the study `default`.
-        default: several seeds of the default preset, see `research.seeds`.
+        default: several seeds of the default preset, see `research.experiments.seeds`.
     """
     farms, own = run["evaluations"][0]["farms"], seeds["methods"][TUNED_PRESET]
     beside = f", {run['at_once']} such runs at a time," if run.get("at_once", 1) > 1 else ""

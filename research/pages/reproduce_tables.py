@@ -32,7 +32,7 @@ def comparison(root: Path) -> str:
     count = Counter(row.verdict for rows in groups.values() for row in rows)
     parts = [", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items())) + ".\n"]
     for name, rows in groups.items():
-        parts += [f"### {STUDIES[name].title}\n", _origin(name, held[name], root), rows_table(rows)]
+        parts += [f"### {STUDIES[name].title}\n", _origin(name, held[name]), rows_table(rows)]
     return "\n".join(parts)
 
 
@@ -57,7 +57,7 @@ BLOCKS: Final[Mapping[str, Block]] = {
 """Every block of the page by its name."""
 
 
-def _origin(name: str, data: Any, root: Path) -> str:
+def _origin(name: str, data: Any) -> str:
     """Return where a study's numbers come from."""
     if data is not None:
         page = f"../../research/results/reproduce/{name}/README.md"
@@ -65,9 +65,7 @@ def _origin(name: str, data: Any, root: Path) -> str:
         farms = f"{FIRST_FARM}..{FIRST_REPORTED - 1}"
         early = f" Its numbers include farms {farms}, on which the preset was chosen." if early_farms(data) else ""
         return f"{made}{early}\n"
-    smoke = f"../../research/results/reproduce/smoke/{name}/README.md"
-    seen = f"; [a smoke run]({smoke}) shows that it works" if (root / PAGE.parent / smoke).is_file() else ""
-    return f"`python -m research.studies {name}`: {NOT_RUN}{seen}.\n"
+    return f"`python -m research.studies {name}`: {NOT_RUN}.\n"
 
 
 def studies(root: Path) -> list[Path]:

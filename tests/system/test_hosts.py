@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from research.network.hosts import ROLES, Hosts, evaluated, finish, happen
-from research.network.namespaces import laboratory
+from research.experiments.network.hosts import ROLES, Hosts, evaluated, finish, happen
+from research.experiments.network.namespaces import laboratory
 from tests.system.fleet import PRESET
 from tests.system.hosts import LONG
 

@@ -18,7 +18,7 @@ FACTOR: Final = 1.10
 """Times the best heuristic's reward that the learned policies should earn."""
 SUPPLY: Final = 1700.0
 """Bound of the reward per agent at 4 + 4 + 4 from what sensors and plots supply in an episode, rounded; the bound of
-`research.bound`, which counts more of what cannot be had, is lower."""
+`research.experiments.bound`, which counts more of what cannot be had, is lower."""
 SHARE: Final = 0.75
 """Share of the supply bound that the learned policies should earn."""
 SOONER: Final = 10.0

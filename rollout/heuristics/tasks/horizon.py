@@ -53,7 +53,7 @@ class Effort:
 
 
 EFFORT: Final = Effort()
-"""The heuristic's search effort where there is no stress. `research.search` shows what more effort gains."""
+"""The heuristic's search effort without stress. `research.experiments.search` shows what more effort gains."""
 STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 """Its effort where there can be stress: a larger search pays there, for `uneven` 2 %."""
 

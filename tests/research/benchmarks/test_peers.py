@@ -316,7 +316,10 @@ def test_the_reported_command_names_no_machine():
         == "python -m research.benchmarks.peers both --only mpe2 --json"
     )
     asked = ["links 50 m", "--keep", "some/where"]
-    assert command("python -m research.conditions", asked) == "python -m research.conditions 'links 50 m'"
+    assert (
+        command("python -m research.experiments.conditions", asked)
+        == "python -m research.experiments.conditions 'links 50 m'"
+    )
 
 
 class Ticking:

@@ -4,7 +4,7 @@ import json
 
 from eia_sec.common.policy_file import load_policy
 from eia_sec.rollout.shipped_policies import shipped_file
-from research.pictures import FOLDER, SHOWN
+from research.pages.pictures import FOLDER, SHOWN
 
 
 def test_the_pictures_are_of_the_policy_that_ships():

@@ -5,12 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted(
     path.relative_to(ROOT).as_posix()
-    for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "research" / "results").rglob("*.md")]
+    for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "research" / "results").rglob("*.md")]
 )
 CODE_FOLDERS = ("common", "rollout", "learner", "elite", "deploy", "research", "tests", "docs")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -36,10 +34,9 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_relative_links_lead_somewhere(page):
+def test_relative_links_lead_somewhere():
     """Every relative link of README, docs and results names a file, and every anchor a heading."""
-    assert broken_links(ROOT / page) == []
+    assert {page: broken for page in PAGES if (broken := broken_links(ROOT / page))} == {}
 
 
 def missing_files(text: str, tracked: set[str]) -> list[str]:
@@ -48,11 +45,11 @@ def missing_files(text: str, tracked: set[str]) -> list[str]:
     return [name for name in named if not any(path == name or path.endswith(f"/{name}") for path in tracked)]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if not page.startswith("research/results/")])
-def test_named_source_files_exist(page):
+def test_named_source_files_exist():
     """A page names no module that was moved or removed."""
     tracked = {path.relative_to(ROOT).as_posix() for folder in CODE_FOLDERS for path in (ROOT / folder).rglob("*.py")}
-    assert missing_files((ROOT / page).read_text(encoding="utf-8"), tracked) == []
+    texts = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES if "research/results" not in page}
+    assert {page: missing for page, text in texts.items() if (missing := missing_files(text, tracked))} == {}
 
 
 def test_a_missing_file_is_found():

@@ -19,7 +19,7 @@ from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.view_service import ViewService
-from research import pictures
+from research.pages import pictures
 
 RUN = "watched"
 SECONDS = 60.0

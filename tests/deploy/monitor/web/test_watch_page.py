@@ -9,7 +9,7 @@ import pytest
 
 from eia_sec.rollout.rendering.palette import AGE_STOPS, SOIL_STOPS, rgb
 from eia_sec.rollout.sim.layout import make_layout
-from research.pictures import serving
+from research.pages.pictures import serving
 from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, RUN, flying, until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
