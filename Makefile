@@ -1,5 +1,7 @@
 # make train   set up, then train EIA-SEC on this machine:  make train ARGS="--preset quick --workers 1"
-# make test    set up, then run every test:                 make test ARGS="tests/common -x"
+# make test    set up, then what a contributor runs before a change:  make test ARGS="tests/common -x"
+# make check   set up, then the other tests: processes, faults, browsers, wheels, research/
+# make nightly set up, then the faults in full doses: hours
 # make lint    set up, then ruff and mypy
 # make docs    set up, then refresh the generated blocks and pictures of docs/
 # make site    set up, then build the documentation as a site in build/site; a broken link is an error
@@ -24,13 +26,21 @@ VENV := .venv
 READY := $(VENV)/.ready
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
 
-.PHONY: train test lint docs site bench-peers reproduce setup clean
+.PHONY: train test check nightly lint docs site bench-peers reproduce setup clean
 
 train: $(READY)
 	@$(VENV)/bin/eia-sec train $(ARGS)
 
+PYTEST := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(VENV)/bin/python -m pytest
+
 test: $(READY)
-	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+	@$(PYTEST) -n $(JOBS) --dist worksteal $(ARGS)
+
+check: $(READY)
+	@$(PYTEST) -n $(JOBS) --dist worksteal -m "(slow or research) and not nightly" $(ARGS)
+
+nightly: $(READY)
+	@$(PYTEST) -m nightly $(ARGS)
 
 lint: $(READY)
 	@$(VENV)/bin/ruff check .

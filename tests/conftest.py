@@ -7,9 +7,14 @@ import pytest
 from hypothesis import settings
 
 TESTS = Path(__file__).parent
-WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "system", "deploy/monitor/web"))
-"""Tests that start several processes and wait for what they do to one another."""
-
+WITH_PROCESSES = tuple(
+    TESTS / folder for folder in ("faults", "security", "system", "deploy/hosts", "deploy/monitor/web")
+)
+"""Tests that start several processes and wait for what they do to one another. They are slow."""
+SLOW = (*WITH_PROCESSES, TESTS / "rollout/sim/properties")
+QUICK = {TESTS / "system/test_first_run.py", TESTS / "system/test_lockstep.py"}
+"""What `make test` runs of them: one short training, and one in lockstep beside a run in one process."""
+RESEARCH = TESTS / "research"
 
 for variable in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(variable, "1")  # as `make test` has it: commands give themselves one, which numba wants early
@@ -21,10 +26,19 @@ settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")  # how long an example takes says nothing on a machine that does other work too
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give tests whose processes ran out of time a second try; pytest's summary counts it as a rerun."""
+    """Mark slow tests and those of research/ by their folders.
+
+    Tests whose processes ran out of time get a second try, which pytest's summary counts as a rerun.
+    """
     for item in items:
-        if any(folder in item.path.parents for folder in WITH_PROCESSES):
+        folders = item.path.parents
+        if RESEARCH in folders:
+            item.add_marker(pytest.mark.research)
+        if item.path not in QUICK and any(folder in folders for folder in SLOW):
+            item.add_marker(pytest.mark.slow)
+        if any(folder in folders for folder in WITH_PROCESSES):
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=OUT_OF_TIME))
 
 

@@ -1,94 +1,21 @@
-"""`eia-sec train` as a user meets it: to the end, interrupted, resumed, and without leaving anybody behind."""
+"""`eia-sec train` as a user meets it: interrupted, resumed, and without leaving anybody behind."""
 
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
-
-import psutil
-import pytest
 
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
 from eia_sec.deploy.local.run_directory import METRICS
 from eia_sec.deploy.reports.run_report import read_metrics
-from tests.system.fleet import PRESET, TINY, until
+from tests.system.fleet import TINY, until
+from tests.system.training import Training, gone
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
 OFTEN, RARE = "checkpoint_seconds = 0.5", "checkpoint_seconds = 3600.0"
 WAITING = 40
 """More episodes than a learner's queue of 16 chunks and its slack of 400 steps can hold."""
-
-
-class Training:
-    """One `eia-sec train` process with its run directory."""
-
-    def __init__(self, directory: Path, toml: str) -> None:
-        self.config = directory / "wanted.toml"
-        self.config.write_text(toml, encoding="utf-8")
-        self.run_dir = directory / "run"
-        self.output = directory / "output.txt"
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def start(self, *options: str, configured: bool = True) -> None:
-        """Start it, with or without the configuration file."""
-        command = [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--run-dir", str(self.run_dir)]
-        preset = [] if "--preset" in options else ["--preset", PRESET]
-        command += [*preset, "--config", str(self.config), *options] if configured else options
-        with self.output.open("ab") as output:
-            self.process = subprocess.Popen(command, stdout=output, stderr=output)
-
-    def wait(self, seconds: float = 120.0) -> int:
-        """Return its exit code."""
-        assert self.process is not None
-        return self.process.wait(seconds)
-
-    def children(self) -> list[psutil.Process]:
-        """Return the processes that it started."""
-        assert self.process is not None
-        return psutil.Process(self.process.pid).children(recursive=True)
-
-    def episodes(self) -> int:
-        """Return the number of episodes that are recorded."""
-        path = self.run_dir / "metrics.jsonl"
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        return max((json.loads(line).get("episodes", 0) for line in lines if line.endswith("}")), default=0)
-
-
-@pytest.fixture
-def training(tmp_path: Path) -> Iterator[Training]:
-    """A training that is gone when the test is over."""
-    run = Training(tmp_path, TINY)
-    yield run
-    if run.process is not None and run.process.poll() is None:
-        for child in run.children():
-            child.kill()
-        run.process.kill()
-        run.process.wait(10.0)
-
-
-def gone(processes: list[psutil.Process]) -> bool:
-    """Return whether all of them have ended."""
-    return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
-
-
-def test_a_run_ends_with_pictures_and_a_table(training: Training) -> None:
-    """Two workers, learner and coordinator are processes of their own; the results are there and nobody is left."""
-    training.start("--workers", "2")
-    roles = until(lambda: len(training.children()) >= 4 and training.children(), "four processes")
-    assert training.wait() == 0, training.output.read_text()
-    assert gone(roles)
-    for name in ("curves.png", "trajectories.png", "policy.safetensors", "config.toml", "metrics.jsonl"):
-        assert (training.run_dir / name).stat().st_size > 0
-    evaluation = json.loads((training.run_dir / "evaluation.json").read_text())
-    policies = [result["policy"] for result in evaluation["evaluations"]]
-    assert {"lawnmower", "greedy", "random", "static"} < set(policies)
-    assert len(policies) == 5
-    assert "lawnmower" in training.output.read_text()
 
 
 def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:

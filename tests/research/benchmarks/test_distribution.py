@@ -9,11 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.errors import EiaSecError, UsageError
+from eia_sec.common.errors import EiaSecError
 from eia_sec.common.protocol.messages import MetricMessage
 from eia_sec.rollout.worker.collector import Collector
 from research.benchmarks.distribution import __main__ as command
-from research.benchmarks.distribution import report
 from research.benchmarks.distribution.farm import rates
 from research.benchmarks.distribution.paced import PacedEnv, Pacer, parallel_env
 from research.benchmarks.distribution.processes import Processes, busy
@@ -21,7 +20,6 @@ from research.benchmarks.distribution.records import MovingReward, Tail, between
 from research.benchmarks.distribution.summary import summary
 from research.benchmarks.distribution.training import WINDOW, Task, Watch, WorkerTimes, result, train
 from research.benchmarks.peers.catalogue import ROOT
-from research.pages.measurements import distribution_block, workers_block
 
 
 class Clock:
@@ -221,24 +219,6 @@ def test_speedups_are_of_medians():
     assert summary(runs[3:6])[0]["speedup"] is None
 
 
-def test_pages_show_what_was_measured():
-    """Page, README line and the table of the architecture are made of the same lines."""
-    data = results(a_run(1, 0, 400.0), a_run(16, 0, 25.0), a_run(32, 0, 20.0), a_run(4, 0, 900.0, reached=False))
-    text = report.page(data)
-    assert "| 16 | 25 | 34 | 16.0 | 100% | 800 | 20,000 |" in text
-    assert "| 4 | > 900 | 909 | - | - | 200 | 20,000 |" in text
-    assert "| 2 | 9,000 | 10.0% | 3.0 | 0.0% | 0.0% | 0.5 |" in text
-    assert "1,000 environment steps" in text
-    assert (
-        "| workers | 1 | 4 | 16 | 32 |\n|---|---:|---:|---:|---:|\n| speed-up | 1.0 | - | 16.0 | 20.0 |"
-        in distribution_block(data)
-    )
-    assert "one seed" in distribution_block(data)
-    assert "| 16 | 25 | 34 | 16.0 | 100% | 800 | 20,000 |" in workers_block(data)
-    left, right = report.picture(data).axes
-    assert (len(left.lines), len(right.lines)) == (3, 5)
-
-
 def test_what_is_missing_is_measured_and_every_run_is_kept(monkeypatch, tmp_path):
     """A second call goes on where the first was ended; other tasks or commits begin anew."""
     done = []
@@ -265,16 +245,6 @@ def test_what_is_missing_is_measured_and_every_run_is_kept(monkeypatch, tmp_path
     (tmp_path / "results.json").write_text(json.dumps(kept))
     assert command.main() == 0
     assert len(done) == 9
-
-
-def test_redrawing_needs_results(monkeypatch, tmp_path):
-    """Without any, or without a folder, it is refused in a sentence."""
-    monkeypatch.setattr(sys, "argv", ["distribution", "--redraw", "--write", str(tmp_path)])
-    with pytest.raises(UsageError, match=r"there is no .*results\.json"):
-        command.main()
-    for words in (["--redraw"], ["--workers", "0"], ["--farm-workers", "1000"]):
-        with pytest.raises(SystemExit):
-            command.options(words)
 
 
 def test_real_processes_train_until_the_reward():

@@ -1,12 +1,10 @@
 """The intake benchmark: what it counts, and that our own path really takes chunks in."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eia_sec.common.errors import EiaSecError
 from research.benchmarks.intake import __main__ as driver
 from research.benchmarks.intake.chunks import CAPACITY, NAMES, Ring, Window, read, steps_in_rows
 from research.benchmarks.intake.page import SIZES, page
@@ -78,75 +76,6 @@ def test_our_path_takes_chunks_in(routed, tmp_path, capsys):
     assert json.dumps(data)
 
 
-class ABench:
-    """Counts its cases, so that each is a little better than the one before; one of them fails."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[str, int]] = []
-        self.peer = self.zmq = None
-
-    def ours(self, label, workers, **how):
-        """Return the number of workers, and of cases so far."""
-        if (label, workers) == ("128 KB", 300) and how == {"routed": True, "shared": True}:
-            raise EiaSecError("too many.")
-        self.asked.append((label, workers))
-        return {"env_steps_per_second": float(workers + len(self.asked)), "mb_per_second": 1.0}
-
-
-def test_numbers_of_workers_have_a_table_of_their_own():
-    """The first number is measured at every size, the others at one; the table by size keeps its shape."""
-    found, by_workers, failures = driver.measure(ABench(), 2, ["EIA-SEC"], [8, 64, 300])
-    sizes = {str(size) for size in SIZES.values()}
-    assert len(found) == len(by_workers) == 4
-    assert all(set(results) == sizes for results in found.values())
-    routed = "EIA-SEC, shared memory through a router"
-    assert {name: set(results) for name, results in by_workers.items()} == {
-        name: {"8", "64"} if name == routed else {"8", "64", "300"} for name in found
-    }
-    assert all(found[name][str(131_072)] == by_workers[name]["8"] for name in found)
-    assert by_workers["EIA-SEC, TCP"]["300"]["env_steps_per_second"] == 300.0 + 24.0
-    assert len(failures) == 2
-    assert "300 workers" in failures[0]
-    data = {"command": "c", "commit": "d", "cores": 2, "workers": 8, "chunks_under_way": {"128 KB": 4}}
-    text = page({**data, "transports": found, "by_workers": by_workers})
-    assert "| transport | 8 workers | 64 workers | 300 workers |" in text
-    assert f"| {routed} |" in text
-    assert "300 workers" not in page({**data, "transports": found})
-
-
-def test_the_page_says_who_reaches_what_is_wanted():
-    """Multiples of Ray's rate stand beside the bounds, and those that fall short are named."""
-    rates = {"EIA-SEC, TCP": (10, 49, 60), "EIA-SEC, shared memory": (20, 50, 300), "Ray actors": (5, 10, 40)}
-    found = {
-        name: {
-            str(size): {"env_steps_per_second": 1e3 * rate, "mb_per_second": 1.0}
-            for size, rate in zip(SIZES.values(), own, strict=True)
-        }
-        for name, own in rates.items()
-    }
-    data = {"command": "c", "commit": "d", "cores": 2, "workers": 8, "chunks_under_way": {"128 KB": 4}}
-    text = page({**data, "transports": found})
-    assert "| EIA-SEC, TCP | 2.00 | 4.90 | 1.50 |" in text
-    assert "5 times at 128 KB\n(reached: shared memory; not: TCP)\nand 300,000 steps a second" in text
-    assert text.rstrip().endswith("(reached: shared memory; not: TCP).")
-    assert "wanted" not in page({**data, "transports": {"EIA-SEC, TCP": found["EIA-SEC, TCP"]}})
-
-
-def test_one_number_of_workers_needs_no_table():
-    """Without a list nothing is added to what the documents read."""
-    bench = ABench()
-    found, by_workers, failures = driver.measure(bench, 1, ["EIA-SEC, TCP"], [8])
-    assert (by_workers, failures) == ({}, [])
-    assert set(bench.asked) == {(label, 8) for label in SIZES}
-    assert set(found) == {"EIA-SEC, TCP", "EIA-SEC, TCP through a router"}
-
-
-def test_a_collector_that_stands_for_one_worker_is_not_swept():
-    """TorchRL's player has no number of workers to change."""
-    assert driver.cases(driver.TORCHRL_NAME, [8, 64]) == [(label, 8) for label in SIZES]
-    assert driver.cases(driver.ZMQ_NAME, [8, 64]) == [*((label, 8) for label in SIZES), ("128 KB", 64)]
-
-
 @pytest.mark.parametrize("words", [["0"], ["8", "5000"], ["8", "8"], ["many"]])
 def test_an_impossible_number_of_workers_is_refused(words, monkeypatch, capsys):
     """A mistake ends with one sentence and exit code 2, before anything is installed or measured."""
@@ -155,10 +84,3 @@ def test_an_impossible_number_of_workers_is_refused(words, monkeypatch, capsys):
         driver.main()
     assert ended.value.code == 2
     assert "--workers" in capsys.readouterr().err
-
-
-def test_the_kept_page_is_made_of_the_kept_results():
-    """The page is what the command writes beside its JSON."""
-    folder = Path(__file__).resolve().parents[3] / "research" / "results" / "intake"
-    data = json.loads((folder / "intake.json").read_text(encoding="utf-8"))
-    assert (folder / "README.md").read_text(encoding="utf-8") == page(data)

@@ -21,7 +21,6 @@ from research.benchmarks.peers.catalogue import ROOT
 from tests.learner.algorithms.test_engine import batches
 from tests.learner.algorithms.variants import variant
 
-GROWTH = ROOT / "research" / "results" / "learner"
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 6, 1)))
 SMALL = EiaSecConfig(hidden=5, batch=7)
 
@@ -174,24 +173,3 @@ def test_updates_are_timed_on_cuda(name):
     line = learner.measure(learner.configured(name), 4, capacity=8192, device="cuda")
     assert line["device"] == "cuda"
     assert line["ms"] > line["limit_ms"] > 0
-
-
-def test_the_committed_growth_shows_the_committed_result(tmp_path):
-    """Table and picture are what `--redraw` makes of growth.json."""
-    data = (GROWTH / "growth.json").read_text(encoding="utf-8")
-    (tmp_path / "growth.json").write_text(data, encoding="utf-8")
-    learner.show_growth(tmp_path)
-    assert (tmp_path / "growth.md").read_text(encoding="utf-8") == (GROWTH / "growth.md").read_text(encoding="utf-8")
-    assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(UsageError, match=r"there is no .*growth\.json"):
-        learner.show_growth(tmp_path / "nothing")
-
-
-def test_growth_reports_how_its_updates_were_timed():
-    """The page says how long the bursts were, and where."""
-    line = {"algorithm": "base", "agents": 12, "width": 64, "batch": 128, "threads": 2, "ms": 2.5, "limit_ms": 1.5}
-    data = {"command": "x", "commit": "c0ffee", "agents": [line], "width": [line], "batch": [line]}
-    line |= {"burst": 2, "device": "cpu"}
-    assert "(commit c0ffee); the least of many bursts of 2 updates, 2 threads.\n" in learner.growth_page(data)
-    line |= {"device": "cuda"}
-    assert "; the least of many bursts of 2 updates, cuda.\n" in learner.growth_page(data)

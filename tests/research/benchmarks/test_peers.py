@@ -13,32 +13,17 @@ from eia_sec.common.farm import farm_team
 from eia_sec.deploy.reports.provenance import command
 from research.benchmarks.peers import __main__ as driver
 from research.benchmarks.peers import clock, report, session, venvs
-from research.benchmarks.peers.catalogue import FOLDER, OURS, PROGRAMS, ROOT, Program
-from research.benchmarks.peers.learning import FURTHER, RATES, TUNING_SEED, each_episode, reported, tuned
+from research.benchmarks.peers.catalogue import OURS, PROGRAMS, ROOT, Program
+from research.benchmarks.peers.learning import FURTHER, RATES, each_episode, tuned
 from research.benchmarks.peers.session import Job, Plan, ProgramError, arguments, jobs, parse
 from research.benchmarks.peers.spread import EPISODE_STEPS, curve
 from research.benchmarks.peers.summary import merged, summarised
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))
-PAGE = ROOT / "research" / "results" / "peers"
 PLAN = Plan(threads=(1, 2), repeats=2, seconds=0.5, updates=6, widths=(64,), batches=(1, 32, 1024))
 BY_NAME = {(program.subject, program.name): program for program in PROGRAMS}
 
 each_peer = pytest.mark.parametrize("program", [p for p in PROGRAMS if p.environment != OURS], ids=lambda p: p.name)
-
-
-def recorded_lines() -> list[dict]:
-    """Return what the recorded outputs hold."""
-    return [
-        line
-        for run in RECORDED["runs"]
-        for line in parse(Job(BY_NAME[run["subject"], run["name"]], run["threads"]), run["output"])[0]
-    ]
-
-
-def recorded_result() -> dict:
-    """Return a whole result made from the recorded outputs."""
-    return {**RECORDED["session"], **summarised(recorded_lines())}
 
 
 def pins(program: Program) -> dict[str, str]:
@@ -59,28 +44,6 @@ def test_peers_run_on_our_torch(program):
     """Where a peer needs torch, it gets the version that this project is tested with."""
     ours = re.search(r"^torch==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)[1]
     assert pins(program).get("torch", ours) == ours
-
-
-@each_peer
-def test_requirements_hold_what_the_script_reports(program):
-    """Every package whose version a script reports is pinned for it."""
-    source = (ROOT / (program.module.replace(".", "/") + ".py")).read_text()
-    reported = re.findall(r'"(\w+)"', re.search(r"hand_over\(lines, (.+)\)", source)[1])
-    assert reported
-    assert set(reported) <= set(pins(program))
-
-
-@pytest.mark.parametrize("environment", ["agilerl", "benchmarl"])
-def test_learners_environments_can_train_on_the_same_worlds(environment):
-    """The learners' environments hold mpe2, PettingZoo and what our farm imports."""
-    names = {line.split("==")[0].lower() for line in (FOLDER / "requirements" / f"{environment}.txt").open()}
-    assert {"mpe2", "pettingzoo", "numba", "scipy"} <= names
-
-
-def test_no_file_shadows_a_package():
-    """No module of the folder has the name of a package that a peer needs."""
-    needed = {name.lower().replace("-", "_") for program in PROGRAMS if program.requirements for name in pins(program)}
-    assert {path.stem for path in FOLDER.glob("*.py")} & needed == set()
 
 
 def test_a_repeat_takes_programs_in_turn():
@@ -189,41 +152,6 @@ def test_repeats_of_ours_are_one_case():
     lines = [{**learner_line("EIA-SEC", "maddpg", ms), "gflops": 100.0 + ms, "limit_ms": ms / 2} for ms in (6.0, 7.0)]
     (case,) = merged(lines)
     assert (case["best"], case["limit_ms"], case["repeats"]) == (6.0, 3.0, [6.0, 7.0])
-
-
-def test_tables_show_every_case():
-    """Each case has its row with its best value, each ratio its own, and failures are named."""
-    result = {**recorded_result(), "failures": ["x failed"]}
-    text = report.block(result)
-    rows = [line for line in text.splitlines() if line.startswith("|")]
-    cases = len(result["simulator"]) + len(result["learner"]) + len(result["simulator_ratios"])
-    assert len(rows) == cases + 3 * 2
-    assert all(f"| {line['best']:,.0f} |" in text for line in result["simulator"])
-    assert all(f"| {line['best']:.2f} |" in text for line in result["learner"])
-    assert "Failed: x failed" in text
-    assert "load average" in text
-
-
-def test_only_the_marked_part_of_the_page_is_written(tmp_path):
-    """Data, picture and page are written, and what stands around the marks stays."""
-    page = tmp_path / "README.md"
-    page.write_text(f"before\n{report.MARKS[0]}\nold\n{report.MARKS[1]}\nafter\n")
-    driver.write(recorded_result(), tmp_path)
-    text = page.read_text()
-    assert text.startswith(f"before\n{report.MARKS[0]}\n")
-    assert text.endswith(f"{report.MARKS[1]}\nafter\n")
-    assert "old" not in text
-    assert json.loads((tmp_path / "peers.json").read_text())["simulator"]
-    assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_committed_page_shows_the_committed_result():
-    """The page is what its data says, and says so while there is none."""
-    text, data = (PAGE / "README.md").read_text(encoding="utf-8"), PAGE / "peers.json"
-    if data.is_file():
-        assert report.refreshed(text, json.loads(data.read_text(encoding="utf-8"))) == text
-    else:
-        assert f"{report.MARKS[0]}\nNot measured yet.\n{report.MARKS[1]}" in text
 
 
 def test_an_environment_is_made_again_when_its_requirements_change(tmp_path, monkeypatch):
@@ -373,10 +301,3 @@ def test_rates_go_on_at_an_end_that_is_the_best(best, tried):
 
     assert tuned(reward) == pytest.approx(min(best, max(RATES) * 2**FURTHER))
     assert len(asked) == len(set(asked)) == tried
-
-
-def test_only_runs_with_the_tuned_rate_are_reported():
-    """What another rate gave before the grid grew stands in the file and in no table."""
-    lines = [(0.002, TUNING_SEED, -2.0), (0.004, TUNING_SEED, -1.0), (0.002, 0, -9.0), (0.004, 0, -3.0)]
-    runs = [{"software": "a", "algorithm": "b", "rate": r, "seed": s, "reward": v} for r, s, v in lines]
-    assert [run["reward"] for run in reported(runs, "a", "b")] == [-3.0]

@@ -123,15 +123,6 @@ def test_looks_at_a_peer_become_rarer(monkeypatch):
     assert len(at) < 28
 
 
-def test_the_page_says_what_ours_has_before_it_learns():
-    """Its times for smaller parts are then no times of learning."""
-    data = a_result()
-    assert "before it" not in reach.page(data)
-    for run in data["runs"][:2]:
-        run["points"][0] |= {"steps": 0, "reward": 910.0}
-    assert "ours has 91% of the lawnmower's reward before it\nlearns anything" in reach.page(data)
-
-
 def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
     """Whole seeds are written as they end, all programs of a seed before the next one."""
     flown = []

@@ -184,16 +184,3 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
     for words in (["--another", "1"], ["tiny", "--another", "1", "--heuristics"]):
         with pytest.raises(SystemExit):
             call(*words)
-
-
-def test_the_ratio_without_a_condition_is_shown():
-    """It is there for conditions that a policy might not feel, and for no others."""
-    score = {"policy": "greedy", "types": {"c": 1.0}}
-    found = {
-        name: {"heuristics": [{**score, "reward": [bar] * 3}], "learned": {**score, "reward": [bar] * 3}, "commit": "d"}
-        for name, bar in (("default", 150.0), ("links 100 m", 100.0), ("team 2 + 2 + 2", 100.0))
-    }
-    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
-    lines = page({**origin, "results": found}).splitlines()
-    free = {line.split("|")[1].strip(): line.split("|")[4].strip() for line in lines if line.startswith("| ")}
-    assert free == {"farm": "free", "default": "", "links 100 m": "1.500", "team 2 + 2 + 2": ""}

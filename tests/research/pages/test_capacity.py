@@ -12,7 +12,7 @@ from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_team
 from research.pages import capacity
-from research.pages.capacity import DIRECT, ROUND_TRIPS, ROUTED, STEP_TIMES, Measured, Plan
+from research.pages.capacity import DIRECT, ROUTED, Measured, Plan
 
 ROOT = Path(__file__).resolve().parents[3]
 # A chunk takes 1 ms and 1 us for each KB; a step is 1,000 bytes, 100 us of a worker's core and 50 us of the learner's.
@@ -53,24 +53,9 @@ def test_steps_and_distance_bound_one_worker():
     assert capacity.worker_rate(far, MEASURED) == pytest.approx(1_000.0)
 
 
-def test_the_least_part_stands_first():
-    """Rows are ordered by rate, and say how many workers that is."""
-    rows = capacity.table(Plan(workers=7), MEASURED)[2:]
-    rates = [float(row.split("|")[2].replace(",", "")) for row in rows]
-    assert rates == sorted(rates)
-    assert "| workers (7) | 69,913 | 7.00 |" in rows
-
-
 def command(*arguments: str) -> "subprocess.CompletedProcess[str]":
     line = [sys.executable, "-m", "research.pages.capacity", *arguments]
     return subprocess.run(line, capture_output=True, text=True, check=False)
-
-
-def test_the_command_prints_a_plan_of_the_committed_results():
-    """Options change the table; the numbers are those of the results."""
-    printed = command("--workers", "50", "--step-ms", "20")
-    measured = Measured.of(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES[:2]))
-    assert printed.stdout.splitlines() == capacity.table(Plan(workers=50, step_ms=20.0), measured)
 
 
 @pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--update-us", "nan")])
@@ -78,16 +63,6 @@ def test_an_impossible_plan_is_one_sentence(option, value):
     """A value that cannot be ends with exit code 2."""
     done = command(option, value)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-
-
-def test_the_page_shows_every_distance_and_whole_runs():
-    """The block of docs/explanation/capacity.md has a column for each round trip and step, and what runs did."""
-    block = capacity.block(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
-    text = " ".join(block.split())  # lines are wrapped
-    assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
-    assert all(f" {ms:g} |" in text for ms in STEP_TIMES)
-    distribution = json.loads(Path(capacity.SOURCES[2]).read_text())
-    assert all(f"{line['steps_per_second']:,.0f} with {line['workers']}" in text for line in distribution["farm"])
 
 
 def test_measurements_of_another_team_are_refused():

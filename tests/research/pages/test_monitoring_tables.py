@@ -5,22 +5,7 @@ import dataclasses
 from eia_sec.common.protocol import keys, messages, metrics
 from eia_sec.common.protocol.metrics import Metric, undeclared
 from eia_sec.deploy.monitor import snapshot
-from eia_sec.elite import service as elite
-from eia_sec.learner import schedule
-from eia_sec.learner.intake import ledger
-from eia_sec.learner.reporting import curves, reporter
-from eia_sec.rollout.worker import service as rollout
 from research.pages.monitoring_tables import attribute_docs, messages_tables
-
-
-def test_what_the_page_says_of_paces_is_so():
-    """Metrics once a second from every role, progress ten times."""
-    paces = {schedule.REPORT_SECONDS, rollout.REPORT_SECONDS, elite.REPORT_SECONDS}
-    assert (paces, keys.METRIC.pace) == ({1.0}, "1 per second")
-    assert f"{1.0 / schedule.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
-    text = " ".join(metric.meaning for metric in metrics.METRICS["learner"])
-    assert f"({ledger.ROWS} workers at most; `{ledger.OTHERS}` sums the rest)" in text
-    assert (reporter.IMITATIONS, curves.SMOOTHED_EPISODES) == (4, 40)
 
 
 def test_every_field_on_the_page_is_explained():

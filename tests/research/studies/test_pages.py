@@ -1,16 +1,14 @@
 """The pages that are written from committed results are up to date, and say what the results are made from."""
 
-import json
 import re
 from pathlib import Path
 
 import pytest
 
-from research.pages.reproduce_tables import BLOCKS, RESULTS, SHOWN, comparison, written
+from research.pages.reproduce_tables import BLOCKS, RESULTS, SHOWN, written
 from research.studies.analysis.targets import block as targets_block
 from research.studies.analysis.verdicts import NOT_RUN
 from research.studies.pages.notes import TEMPLATE, note
-from research.studies.pages.tables import versions
 
 ROOT = Path(__file__).resolve().parents[3]
 KEPT = sorted(path.parent.relative_to(ROOT / RESULTS).as_posix() for path in (ROOT / RESULTS).rglob("results.json"))
@@ -23,15 +21,6 @@ def test_a_studys_page_is_written_from_its_results(name):
     text = (folder / "README.md").read_text(encoding="utf-8")
     assert sorted(SHOWN.findall(text)) == sorted(path.name for path in folder.glob("*.png"))
     assert written(folder) == text, "run `make docs`"
-
-
-def test_commits_are_listed_by_group_where_there_are_several():
-    """Records of one commit need no words; of two, every group has its own."""
-    runs = {"A": {"runs": [{"commit": "aaa"}, {"commit": "bbb"}]}, "B": {"runs": [{"commit": "aaa"}]}}
-    data = {"methods": runs, "choice": {"A": {"commits": ["ccc"]}}}
-    assert "A: aaa, bbb; B: aaa; trials of A: ccc." in " ".join(versions(data).split())
-    alone = {"methods": {"A": {"runs": [{"commit": "aaa"}]}}, "choice": {"A": {}}}
-    assert versions(alone) == ""
 
 
 def flown(policy, reward, aoi):
@@ -116,15 +105,6 @@ def test_runs_of_more_time_decide_about_the_whole():
     ]
 
 
-def test_times_of_fresh_actors_are_marked():
-    """What ours earns before it learns is no time of learning."""
-    found = reach(("EIA-SEC", [(3.0, 800.0), (20.0, 1000.0)]), ("AgileRL", [(150.0, 1000.0)]))
-    assert "before it learns" not in targets_block(None, None, found)
-    found["runs"][0]["points"][0]["steps"] = 0
-    lines = [line for line in targets_block(None, None, found).splitlines() if "than AgileRL" in line]
-    assert [", before it learns" in line for line in lines] == [True, True, False, False]
-
-
 def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
     """Medians that are ten times apart are not enough when some pair of seeds is nearer, or may be."""
 
@@ -147,15 +127,6 @@ def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
     line, verdict = judged_times(*[[(480.0, 0.0)]] * 2, *reached(160.0))
     assert ("| more than 40.0 times (9.4..)" in line, verdict) == (True, "undecided")
     assert judged_times([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
-
-
-def test_early_farms_are_said_beside_the_verdicts():
-    """Results with the farms that the preset was chosen on say so, and those without do not."""
-    text = comparison(ROOT)
-    for name in ("training", "ablation", "ensemble", "scalability", "trajectories"):
-        data = json.loads((ROOT / "research/results/reproduce" / name / "results.json").read_text(encoding="utf-8"))
-        (line,) = [line for line in text.splitlines() if line.startswith(f"[{name}](")]
-        assert ("on which the preset was chosen" in line) == (data["sizes"].get("first_farm", 1000) < 1020)
 
 
 @pytest.mark.parametrize("name", BLOCKS)

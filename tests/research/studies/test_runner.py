@@ -16,11 +16,9 @@ from research.studies.bench import Bench
 from research.studies.jobs import Records
 from research.studies.methods import EIA_SEC
 from research.studies.perform import kept
-from research.studies.runner import Runner, duration, packed, progress
+from research.studies.runner import Runner, packed, progress
 from research.studies.scales import FIRST_FARM
 from tests.research.studies.tiny_study import TINY, trained
-
-MADE = {"command": "python -m research.studies training", "commit": "abc1234"}
 
 
 @pytest.fixture
@@ -52,11 +50,6 @@ def test_short_jobs_share_a_process(bench):
 def test_progress_is_the_last_line_that_reports_it(lines, share):
     """Whatever else a process writes is passed over."""
     assert progress(lines) == share
-
-
-def test_durations_are_said_as_people_say_them():
-    """Seconds, minutes, hours."""
-    assert [duration(seconds) for seconds in (5.0, 600.0, 7200.0)] == ["5 s", "10 min", "2.0 h"]
 
 
 def full_disk(monkeypatch, times):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from eia_sec.common.config.presets import PRESETS
-from research.studies.unseen import COLUMNS, FLOWN, page, row, scores
+from research.studies.unseen import COLUMNS, FLOWN, row, scores
 
 
 def flown(reward, farms=50):
@@ -20,16 +20,6 @@ def test_one_policy_has_an_interval_over_farms_and_seeds_over_seeds():
     several = row("several", [flown(1390.0), flown(1400.0), flown(1410.0)], over_seeds=True)
     assert 10.0 < several["reward"][2] - several["reward"][1] <= 20.0
     assert np.ptp([0.4, *several["aoi"]]) < 1e-9
-
-
-def test_the_page_has_the_best_first():
-    """Each field has its own number of decimals."""
-    results = [row(name, [flown(reward)], over_seeds=False) for name, reward in (("b", 1300.0), ("a", 1400.0))]
-    text = page({"command": "x", "commit": "c", "first_farm": 2000, "last_farm": 2099, "results": results})
-    first, second = text.splitlines()[-2:]
-    assert first.startswith("| a | farms | 1400 (")
-    assert "| 0.400 (0.400..0.400) | 1.700 (1.700..1.700) |" in first
-    assert second.startswith("| b |")
 
 
 def test_every_policy_flies_on_a_farm_of_its_own_observations():
