@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from eia_sec.common.config.presets import PRESETS, read_saved
+from eia_sec.common.config.files import read_saved
+from eia_sec.common.config.presets import PRESETS
 from research.pages.blocks import marks, names, replaced
 from research.pages.pages import PAGES, PICTURES, main, refreshed
 
