@@ -92,7 +92,7 @@ def page(data: Line) -> str:
         **{name: data[name] for name in ("command", "commit", "gpu", "cores")},
         torch=data["packages"]["torch"],
         updates="\n".join(table(["width", "processor", "GPU"], widths, 0)),
-        runs="\n".join(table([*head, "learner updates", "workers wait", "flown for nothing"], runs, 1)),
+        runs="\n".join(table([*head, "learner updates", "workers wait", "steps discarded as stale"], runs, 1)),
     )
 
 

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from eia_sec.deploy.reports.intervals import interval_table
-from research.benchmarks.distribution.report import farm as distribution_farm
-from research.benchmarks.distribution.report import times as distribution_times
 from research.benchmarks.distribution.summary import summary
 from research.pages import capacity
-from research.pages.blocks import read_json, wrapped
+from research.pages.blocks import read_json
 from research.pages.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "research/results/reproduce/training/results.json"
@@ -53,25 +51,6 @@ def distribution_block(data: dict[str, Any]) -> str:
             "| speed-up | " + " | ".join(f"{s:.1f}" if s else "-" for s in (line["speedup"] for line in lines)) + " |",
             "",
             "![Speed-up by workers, and reward against time](research/results/distribution/speedup.png)",
-            "",
-        ]
-    )
-
-
-def workers_block(data: dict[str, Any]) -> str:
-    """Return the block on whole runs with more and more workers."""
-    return "\n".join(
-        [
-            wrapped(
-                f"""`{data["command"]}`, commit {data["commit"]}, everything on {data["cores"]} cores. With steps of
-                {1000 * data["task"]["period"]:.0f} ms ([details](../../research/results/distribution/README.md)):"""
-            ),
-            "",
-            *distribution_times(summary(data["runs"])),
-            "",
-            "On the farm, where it takes microseconds:",
-            "",
-            *distribution_farm(data["farm"]),
             "",
         ]
     )
@@ -284,7 +263,6 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
         tasks_block,
     ),
     "watch": (("research/results/watch.json",), watch_block),
-    "workers": ((DISTRIBUTION,), workers_block),
 }
 """For each block: the data that it shows, and the function that writes it."""
 

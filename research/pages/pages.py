@@ -31,7 +31,6 @@ def _measured(*names: str) -> dict[str, Block]:
 
 PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "README.md": _measured("results", "distribution"),
-    "docs/explanation/architecture.md": _measured("workers"),
     "docs/explanation/capacity.md": _measured("capacity"),
     "docs/explanation/method.md": _measured("forms"),
     "docs/explanation/reliability.md": {"faults": reliability_table.faults},

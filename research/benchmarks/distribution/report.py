@@ -47,13 +47,14 @@ def times(lines: list[Line]) -> list[str]:
 
 def where(lines: list[Line]) -> list[str]:
     """Return the table of where the time goes."""
-    head = ["workers", "learner updates", "an update, ms", "workers wait", "flown for nothing"]
+    head = ["workers", "learner updates", "an update, ms", "workers wait", "steps discarded as stale"]
     return table(head, [[str(line["workers"]), *_shares(line)] for line in lines], 0)
 
 
 def farm(lines: list[Line]) -> list[str]:
     """Return the table of the default preset on the same cores."""
-    head = ["workers", "env steps/s", "learner updates", "an update, ms", "workers wait", "flown for nothing", "load"]
+    shares = ["learner updates", "an update, ms", "workers wait", "steps discarded as stale"]
+    head = ["workers", "env steps/s", *shares, "load"]
     rows = [
         [str(line["workers"]), f"{line['steps_per_second']:,.0f}", *_shares(line), f"{line['load']:.1f}"]
         for line in lines
