@@ -91,6 +91,8 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
             raise PolicyError("its parameters do not match its digest")
+        if not all(np.isfinite(flat).all() for flat in stored):
+            raise PolicyError("its parameters are not finite numbers, because its training diverged")
         flats = tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored)
         actors = TeamActors(team, hidden, flats, head, memory)
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:

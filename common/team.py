@@ -244,3 +244,13 @@ def slices(sizes: tuple[int, ...]) -> tuple[slice, ...]:
     """Return the slices of parts of these sizes, one after another; every step of every batch asks for them."""
     ends = itertools.accumulate(sizes, initial=0)
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+
+def described(team: TeamSpec) -> str:
+    """Describe a team in words: its types' agent counts, observation and action sizes, and adapters."""
+    groups = []
+    for group in team.groups:
+        acts = f"{' x '.join(map(str, group.choices))} options" if group.choices else f"{group.action_size} outputs"
+        parts = [acts, *(["a mask"] if group.masked else []), *(adapter.kind for adapter in group.adapters)]
+        groups.append(f"{group.count} {group.name} agents with {group.observation_size} inputs ({', '.join(parts)})")
+    return ", ".join(groups)

@@ -15,7 +15,7 @@ from eia_sec.common.seeds import derive
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.envs.base import Environments
-from eia_sec.rollout.envs.registry import make_environments
+from eia_sec.rollout.envs.registry import make_environments, patient_with
 from eia_sec.rollout.heuristics.farms import make_farms
 from eia_sec.rollout.policies import BatchPolicy, Policy
 from eia_sec.rollout.sim.batch import FarmBatch
@@ -170,7 +170,8 @@ def evaluate_run(
     config: RunConfig, policy: BatchPolicy[Environments], farms: Sequence[int], episodes: int, *, name: str
 ) -> Evaluation:
     """Evaluate a policy in the environment of a run; see `evaluate_environments`."""
-    return evaluate_environments(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
+    with patient_with(config):
+        return evaluate_environments(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:

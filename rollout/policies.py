@@ -20,7 +20,7 @@ from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.errors import PolicyError
 from eia_sec.common.farm import farm_of, farm_team
 from eia_sec.common.policy_file import load_policy
-from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.team import Float32, TeamSpec, described
 from eia_sec.rollout.envs.base import Environments
 from eia_sec.rollout.heuristics.random import RandomPolicy
 from eia_sec.rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
@@ -91,7 +91,7 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
         return actors
     pairs = zip(actors.team.groups, team.groups, actors.flat, strict=False)
     if len(actors.flat) != len(team.groups) or not all(can_fly(own, other, flat) for own, other, flat in pairs):
-        raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
+        raise PolicyError(f"the policy is for {described(actors.team)}, but this environment has {described(team)}.")
     return replace(actors, team=team)
 
 
@@ -148,14 +148,3 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
 def reference_policies(config: RunConfig) -> tuple[str, ...]:
     """Return the names of the policies that a run's report compares with the trained one."""
     return ("random",) if farm_of(config) is None else REFERENCES
-
-
-def _describe(team: TeamSpec) -> str:
-    """Describe a team in words: its types' agent counts, observation sizes, choices and adapters."""
-    groups = []
-    for group in team.groups:
-        choice = [f"{' x '.join(map(str, group.choices))} options"] if group.choices else []
-        parts = [*choice, *(["a mask"] if group.masked else []), *(adapter.kind for adapter in group.adapters)]
-        how = f" ({', '.join(parts)})" if parts else ""
-        groups.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
-    return ", ".join(groups)

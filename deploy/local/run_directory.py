@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import json
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -9,12 +10,14 @@ from typing import IO
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import differences, method_of, read_saved, to_toml
-from eia_sec.common.errors import RunDirError
+from eia_sec.common.errors import EiaSecError, RunDirError
+from eia_sec.common.team import TeamSpec, described
 from eia_sec.deploy.local.file_ends import last_lines
 
 CONFIG = "config.toml"
-FRESH = f"{CONFIG}.new"
-"""A configuration while it is being written."""
+TEAM = "team.json"
+"""The layout of the team that the run trains."""
+MOST_TEAM_BYTES = 2**24
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
@@ -56,7 +59,7 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 class RunDirectory:
-    """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
+    """A folder with config.toml, team.json, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -89,7 +92,7 @@ class RunDirectory:
         if self.path.exists() and (not self.path.is_dir() or any(self._foreign_files())):
             raise RunDirError(f"{self.path} exists and is not a run directory; choose another --run-dir.")
         self.path.mkdir(parents=True, exist_ok=True)
-        self._store(config)
+        self._store(CONFIG, to_toml(config))
 
     def lock(self, name: str, *, directory: bool = False) -> None:
         """Reserve the folder for this process. The lock ends with the process.
@@ -129,21 +132,44 @@ class RunDirectory:
             os.close(self._folder)
             self._folder = None
 
-    def adopt(self, config: RunConfig) -> None:
-        """Store a configuration that `prepare` has accepted; the folder must be locked."""
-        if self.configuration() == config:
-            return
+    def adopt(self, config: RunConfig, team: TeamSpec) -> None:
+        """Store a configuration that `prepare` has accepted, and the team; the folder must be locked.
+
+        Raises:
+            RunDirError: the folder holds a run of another team, or this user may not write here.
+        """
+        held = self._team() if (self.path / METRICS).exists() else None
+        if held is not None and held != team:
+            raise RunDirError(
+                f"the run in {self.path} is for {described(held)}, but this environment has {described(team)}."
+            )
         try:
-            self._store(config)
+            if self.configuration() != config:
+                self._store(CONFIG, to_toml(config))
+            if held is None:
+                self._store(TEAM, json.dumps(team.to_dict(), indent=2))
         except OSError as error:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
 
-    def _store(self, config: RunConfig) -> None:
-        """Write the configuration; on a full disk none is left, rather than a part of it."""
-        fresh = self.path / FRESH
+    def _team(self) -> TeamSpec | None:
+        """Return the team of the run here, or None where none was stored."""
         try:
-            fresh.write_text(to_toml(config), encoding="utf-8")
-            fresh.replace(self.path / CONFIG)
+            with (self.path / TEAM).open("rb") as file:
+                return TeamSpec.from_dict(json.loads(file.read(MOST_TEAM_BYTES)))
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise RunDirError(f"cannot read {self.path / TEAM}: {error.strerror}.") from error
+        except (EiaSecError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+            raise RunDirError(f"{self.path / TEAM} is damaged: {error}") from error
+
+    def _store(self, name: str, text: str) -> None:
+        """Write a file; on a full disk none is left, rather than a part of it."""
+        fresh = self.path / f"{name}.new"
+        try:
+            fresh.unlink(missing_ok=True)  # it may be somebody's link
+            fresh.write_text(text, encoding="utf-8")
+            fresh.replace(self.path / name)
         except OSError:
             with suppress(OSError):
                 fresh.unlink()
@@ -176,13 +202,19 @@ class RunDirectory:
         found = differences(method_of(held), method_of(wanted)) if resume else differences(held, wanted)
         if found:
             more = f" and {len(found) - 3} more" if len(found) > 3 else ""
-            raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")
+            longer = resume and held.episodes != wanted.episodes
+            hint = f" (a run cannot be lengthened; begin another one as its policy: {self._start})" if longer else ""
+            raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}{hint}.")
+
+    @property
+    def _start(self) -> str:
+        return f"--algorithm.start-policy {self.path / POLICY}"
 
     def _foreign_files(self) -> list[Path]:
         return [
             entry
             for entry in self.path.iterdir()
-            if entry.name not in ("logs", HISTORY, FRESH) and entry.suffix != ".lock"
+            if entry.name not in ("logs", HISTORY, f"{CONFIG}.new") and entry.suffix != ".lock"
         ]
 
 

@@ -10,7 +10,6 @@ There is no automatic reset. Where episodes differ in length, a finished environ
 until its reset. Farm episodes all have the same length, and a finished farm refuses to step.
 """
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -20,9 +19,18 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
 
-Patience = Callable[[str, int], None]
-"""Waits a while for a simulator or robot that is away, given what its environment says of it, and the number of failed
-tries in a row; raises CancelledError when it is not to be waited for any longer."""
+
+class Patience(Protocol):
+    """What to do while simulators or robots are away."""
+
+    def begin(self, said: str) -> None:
+        """Note that one has gone away, and what its environment says of it."""
+
+    def pause(self, failed: int) -> None:
+        """Wait after so many failed tries in a row; raise CancelledError when it is not to be waited for any longer."""
+
+    def over(self) -> None:
+        """Note that one is back."""
 
 
 class Environments(Protocol):

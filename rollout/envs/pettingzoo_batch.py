@@ -61,10 +61,10 @@ class PettingZooBatch:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
         self._limit = config.steps or MOST_EPISODE_STEPS
-        self._patience = patience
+        self._patience, self._away = patience, [False] * environments
         make = partial(make_parallel, config, boxes=boxes)
         with ExitStack() as made:
-            self._environments = [made.enter_context(closing(self._until_back(make))) for _ in range(environments)]
+            self._environments = [made.enter_context(closing(self._until_back(k, make))) for k in range(environments)]
             agents = describe(self._environments[0], config.prefixes())
             self._open = made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
@@ -84,7 +84,7 @@ class PettingZooBatch:
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds."""
         seed = derive(scenario_seed, episode_seed, "reset") % 2**31
-        observations, infos = self._until_back(partial(self._environments[index].reset, seed))
+        observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
         self._observe(index, "reset()", observations, infos)
         self._seeds[index] = (scenario_seed, episode_seed)
         self.time[index] = 0
@@ -144,23 +144,33 @@ class PettingZooBatch:
 
     def _break_off(self, index: int, error: EnvironmentOutageError) -> None:
         """Truncate the episode with a step that earns nothing and after which the agents see what they saw before."""
-        if self._patience is None:
-            raise error
+        self._note_outage(index, error)
         self.time[index] += 1
         self.reward[index] = 0.0
         self.terminated[index], self.ended[index] = False, True
-        self._patience(str(error), 0)
 
-    def _until_back(self, attempt: Callable[[], T]) -> T:
+    def _until_back(self, index: int, attempt: Callable[[], T]) -> T:
         """Try until there is no outage any more."""
         for failed in itertools.count(1):
             try:
-                return attempt()
+                found = attempt()
             except EnvironmentOutageError as error:
-                if self._patience is None:
-                    raise
-                self._patience(str(error), failed)
+                self._note_outage(index, error).pause(failed)
+                continue
+            if self._away[index] and self._patience is not None:
+                self._patience.over()
+            self._away[index] = False
+            return found
         raise AssertionError
+
+    def _note_outage(self, index: int, error: EnvironmentOutageError) -> Patience:
+        """Return the patience; raise the error where there is none."""
+        if self._patience is None:
+            raise error
+        if not self._away[index]:
+            self._patience.begin(str(error))
+        self._away[index] = True
+        return self._patience
 
     def _observe(self, index: int, method: str, observations: Mapping[Any, Any], infos: Mapping[Any, Any]) -> None:
         environment, row = self._environments[index], []

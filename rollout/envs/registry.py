@@ -6,7 +6,7 @@ no line: name any PettingZoo parallel environment as module:name.
 """
 
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from typing import Final
 
 from eia_sec.common.config import FarmConfig, RunConfig
@@ -86,11 +86,20 @@ def environment_spec(config: RunConfig, *, trial: bool = False) -> EnvironmentSp
     if farm is not None and not farm.observation.advice and not farm.battery.watched:
         # Without loading the simulator.
         return _trainable(config, _farm_spec(farm))
-    with closing(make_environments(config, 1)) as environments:
+    with patient_with(config), closing(make_environments(config, 1)) as environments:
         spec = _trainable(config, environments.spec)
         if trial and config.env.is_third_party:
             _try(environments)
     return spec
+
+
+def patient_with(config: RunConfig) -> AbstractContextManager[None]:
+    """Return a block in which calls of an environment from outside are watched, see `watchdog.watched`."""
+    if not config.env.is_third_party:
+        return nullcontext()
+    from eia_sec.rollout.envs.watchdog import watched  # noqa: PLC0415  (pettingzoo loads only for its users)
+
+    return watched(config.env.step_timeout)
 
 
 def _farm_spec(farm: FarmConfig) -> EnvironmentSpec:

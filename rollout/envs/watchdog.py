@@ -4,7 +4,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from typing import Final, NoReturn
 
 from eia_sec.common.log import log
@@ -52,6 +53,20 @@ class Watchdog:
                 _leave(f"{told}, longer than env.step_timeout {self._limit:g}; this process ends.")
             if self._ending_since is not None and now - max(self._ending_since, running.since) > STUCK_SECONDS:
                 _leave(f"{told}, and is not waited for any longer; this process ends.")
+
+
+@contextmanager
+def watched(limit: float) -> Iterator[None]:
+    """Log which call of a user's environment does not return in this block, and end the process after the limit."""
+    said = [""]
+
+    def speak() -> None:
+        if (text := call_alarm()) and text != said[0]:
+            said[0] = text
+            log(text)
+
+    with closing(Watchdog(limit, speak)):
+        yield
 
 
 def call_alarm() -> str:

@@ -12,45 +12,38 @@ LONGEST_SECONDS: Final = 60.0
 
 
 class Outages:
-    """Counts outages, and pauses before each try to end one.
+    """Counts outages, and pauses before each try to end one; it is what `eia_sec.rollout.envs.base.Patience` asks for.
 
     Args:
         stop: ends a pause, and the wait.
 
     Attributes:
         count: outages so far.
-        alarm: what the environment says of the present outage, or an empty string.
     """
 
     def __init__(self, stop: Event) -> None:
         self._stop = stop
-        self.count = 0
-        self._said, self._until = "", 0.0
+        self.count = self._running = 0
+        self._said = ""
 
     @property
     def alarm(self) -> str:
         """A sentence about the running outage, or an empty string."""
-        return f"{self._said}; outage {self.count}." if self._said else ""
+        return f"the environment is away: {self._said}; outage {self.count}." if self._running else ""
 
-    def wait(self, said: str, failed: int) -> None:
-        """Note an outage, or pause after a failed try to end it.
+    def begin(self, said: str) -> None:
+        """Count an outage, of which the environment says this."""
+        self.count += 1
+        self._running += 1
+        self._said = said
+        log(self.alarm)
 
-        Args:
-            said: what the environment says of it.
-            failed: tries that have failed; 0 for the step in which the outage began.
-
-        Raises:
-            CancelledError: the process ends.
-        """
-        if failed <= 1 and not self._said:
-            self.count += 1
-            log(f"the environment is away: {said}")
-        self._said = f"the environment is away: {said}"
-        if failed and self._stop.wait(min(LONGEST_SECONDS, FIRST_SECONDS * 2.0 ** (failed - 1))):
+    def pause(self, failed: int) -> None:
+        """Pause after so many failed tries in a row; raise CancelledError when the process ends."""
+        if self._stop.wait(min(LONGEST_SECONDS, FIRST_SECONDS * 2.0 ** min(failed - 1, 30))):
             raise CancelledError("the environment is away, and this process ends.")
 
     def over(self) -> None:
-        """Note that the environment answers again."""
-        if self._said:
-            log("the environment is back.")
-        self._said = ""
+        """Note that an environment answers again."""
+        self._running -= 1
+        log("the environment is back.")

@@ -234,7 +234,6 @@ class Worker:
         A chunk that may be shorter ends as soon as the learner drains or the worker should end. Any other goes on until
         only the time is left that deliveries need.
         """
-        self._outages.over()
         self._report_if_due()
         if not self._cuts_chunks:
             return self._seconds_left() > DELIVER_SECONDS
@@ -370,9 +369,8 @@ def _work(
     try:
         with (
             closing(Watchdog(config.env.step_timeout, report, lambda: bool(stop))) as watchdog,
-            closing(Collector(config, name, 0 if answer.lockstep else start, outages.wait)) as collector,
+            closing(Collector(config, name, 0 if answer.lockstep else start, outages)) as collector,
         ):
-            outages.over()
             worker = Worker(options, config, answer, control, bulk, stop, presence, collector, start, outages)
             watchdog.speak = worker.report
             worker.run()

@@ -3,7 +3,9 @@ import math
 
 import numpy as np
 import pytest
+from safetensors.numpy import save
 
+from eia_sec.common import policy_file
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.errors import PolicyError
 from eia_sec.common.policy_file import MAX_FILE_BYTES, MAX_HEADER_BYTES, load_policy, save_policy
@@ -242,3 +244,15 @@ def test_not_a_number_cannot_be_saved(tmp_path, actors):
     with pytest.raises(PolicyError, match="finite"):
         save_policy(tmp_path / "policy", actors, {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_not_a_number_is_not_loaded(path, actors):
+    """A whole file with NaN in it, as another program may write it, is refused and not scored."""
+    actors.flat[0][0, 0] = math.nan
+    names = [group.name for group in actors.team.groups]
+    whole = path.read_bytes()
+    metadata = json.loads(whole[8 : 8 + int.from_bytes(whole[:8], "little")])["__metadata__"]
+    digest = policy_file._digest(actors.flat)
+    path.write_bytes(save(dict(zip(names, actors.flat, strict=True)), metadata={**metadata, "digest": digest}))
+    with pytest.raises(PolicyError, match="not finite numbers, because its training diverged"):
+        load_policy(path)

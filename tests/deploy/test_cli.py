@@ -9,6 +9,7 @@ from eia_sec.common.config import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.log import FORMAT
+from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.cli import COMMANDS, dispatch, without_log_format
 from eia_sec.deploy.commands.fleet.keys import IssueArguments, KeysArguments
 from eia_sec.deploy.commands.policies.fly import FlyArguments
@@ -142,6 +143,17 @@ def test_another_configuration_is_refused(capsys: pytest.CaptureFixture[str], tm
     assert "seed" in error
 
 
+TEAM = TeamSpec((GroupSpec("scout", 2, 4, 2),))
+
+
+def test_more_episodes_need_a_new_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A run cannot be lengthened, and the sentence says how to go on from its policy."""
+    RunDirectory(tmp_path / "run").prepare(RunConfig(), resume=False)
+    error = complaint(capsys, "train", "--run-dir", str(tmp_path / "run"), "--resume", "--episodes", "13000")
+    assert "a run cannot be lengthened; begin another one as its policy" in error
+    assert f"--algorithm.start-policy {tmp_path}/run/policy.safetensors" in error
+
+
 def test_what_a_resumed_run_may_change(tmp_path: Path) -> None:
     """Settings of the learner's process and of the evaluation at the end; the folder then holds the new ones."""
     held, wanted = RunConfig(seed=7), RunConfig(seed=7, learner=LearnerConfig(threads=2), evaluation=EvaluationConfig())
@@ -151,7 +163,7 @@ def test_what_a_resumed_run_may_change(tmp_path: Path) -> None:
         directory.prepare(wanted, resume=False)
     directory.prepare(wanted, resume=True)
     assert directory.configuration() == held
-    directory.adopt(wanted)
+    directory.adopt(wanted, TEAM)
     assert directory.configuration() == wanted
     with pytest.raises(RunDirError, match="seed"):
         directory.prepare(RunConfig(seed=8), resume=True)

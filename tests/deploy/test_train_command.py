@@ -7,7 +7,9 @@ import pytest
 from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.files import with_values
 from eia_sec.common.config.presets import preset
+from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.commands.training import train
 from eia_sec.deploy.commands.training.train import TrainArguments, command_line, resume_command, worker_count
 
@@ -64,3 +66,17 @@ def test_the_hint_how_to_resume_names_what_no_configuration_holds(tmp_path):
     assert resume_command(TrainArguments(tls=keys, settings=farm), tmp_path) == f"{begun} --tls {keys}"
     shared = TrainArguments(shared_memory=True, settings=other)
     assert resume_command(shared, tmp_path) == f"{begun} --shared-memory --env games:make"
+
+
+@pytest.mark.parametrize(("episodes", "said"), [(3, True), (4, False)])
+@pytest.mark.parametrize("name", ["ippo", "eia-sec"])
+def test_a_run_that_cannot_make_one_update_says_so(name, episodes, said):
+    """Before it starts: episodes together have fewer steps than the first update needs."""
+    environment = EnvironmentSpec(TeamSpec((GroupSpec("scout", 2, 4, 2),)), (1, 100))
+    base = preset("eia-sec" if name == "eia-sec" else "default")
+    options = {"algorithm.iteration_steps": 400, "algorithm.minibatch_steps": 100}
+    values = options if name == "ippo" else {"replay.warmup_steps": 399, "algorithm.batch": 32}
+    config = with_values(base, {"episodes": episodes, **values})
+    found = train.shortage(config, environment)
+    assert ("at most 300 steps together, and the first update needs 400" in found) == said
+    assert bool(found) == said

@@ -94,7 +94,7 @@ def command(arguments: Sequence[str]) -> int:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
         directory.lock("learner.lock", directory=True)
-        directory.adopt(options.settings)
+        directory.adopt(options.settings, environment.team)
     serve(
         LearnerOptions(
             run=options.run,

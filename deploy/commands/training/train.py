@@ -12,6 +12,7 @@ from rich.live import Live
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
+from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol import keys
@@ -82,7 +83,8 @@ def command(arguments: Sequence[str]) -> int:
         raise UsageError("--resume needs --run-dir.")
     workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
-    team = environment_spec(options.settings, trial=True).team
+    environment = environment_spec(options.settings, trial=True)
+    team = environment.team
     start: StartParameters = ()
     if not options.resume:
         options.settings.algorithm.require_types([group.name for group in team.groups])
@@ -94,10 +96,12 @@ def command(arguments: Sequence[str]) -> int:
     directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{options.preset}-{stamp}"))
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
-    directory.adopt(options.settings)
+    directory.adopt(options.settings, team)
     console = Console(file=patient_output())
     if start:
         console.print(start_sentence(options.settings, team, start), highlight=False, markup=False)
+    if too_short := shortage(options.settings, environment):
+        console.print(too_short, highlight=False, markup=False, soft_wrap=True)
     console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
@@ -110,6 +114,21 @@ def command(arguments: Sequence[str]) -> int:
     elif not finished:
         console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
     return 0
+
+
+def shortage(config: RunConfig, environment: EnvironmentSpec) -> str:
+    """Return a sentence about a run that ends before its first update, or an empty string."""
+    most = config.episodes * environment.episode_steps[1]
+    if config.learns_on_policy:
+        needed, option = config.on_policy.iteration_steps, "algorithm.iteration_steps"
+    else:
+        needed, option = max(config.off_policy.batch, config.replay.warmup_steps + 1), "replay.warmup_steps"
+    if most >= needed:
+        return ""
+    return (
+        f"this run will learn nothing: its {config.episodes:,} episodes have at most {most:,} steps together, and the "
+        f"first update needs {needed:,}; raise episodes or lower {option}."
+    )
 
 
 def command_line(arguments: Sequence[str], given: int | None, workers: int) -> list[str]:

@@ -10,6 +10,7 @@ import pytest
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.errors import RunDirError, UsageError
+from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory, new_folder
 
 
@@ -128,3 +129,23 @@ def test_a_place_without_room_for_runs_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RunDirError, match="cannot write into"):
         new_folder(tmp_path / "file" / "runs", "default")
+
+
+def test_a_run_goes_on_only_with_its_own_team(tmp_path: Path) -> None:
+    """An environment that has changed is refused in one sentence; before the run has begun, it may still change."""
+    directory, config = RunDirectory(tmp_path / "run"), RunConfig()
+    before, after = (TeamSpec((GroupSpec("scout", count, 4, 2),)) for count in (2, 3))
+    directory.prepare(config, resume=False)
+    directory.adopt(config, after)
+    directory.adopt(config, before)
+    (tmp_path / "run" / "metrics.jsonl").write_text("{}\n")
+    directory.adopt(config, before)
+    sentence = r"is for 2 scout agents with 4 inputs \(2 outputs\), but this environment has 3 scout agents with"
+    with pytest.raises(RunDirError, match=sentence):
+        directory.adopt(config, after)
+    wider = TeamSpec((GroupSpec("scout", 2, 4, 3),))
+    with pytest.raises(RunDirError, match=r"4 inputs \(2 outputs\), .* 4 inputs \(3 outputs\)"):
+        directory.adopt(config, wider)
+    (tmp_path / "run" / "team.json").write_text('{"groups": 7}')
+    with pytest.raises(RunDirError, match=r"team.json is damaged"):
+        directory.adopt(config, before)

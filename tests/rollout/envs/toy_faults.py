@@ -13,6 +13,8 @@ from gymnasium import spaces
 sys.path.insert(0, os.path.dirname(__file__))
 from toy_env import Relay
 
+from eia_sec import EnvironmentOutageError
+
 MARK = os.environ.get("TOY_MARK", "toy")
 
 
@@ -149,3 +151,23 @@ class Simulated(Relay):
         super().close()
         self.process.kill()
         self.process.wait()
+
+
+class Away(Relay):
+    """Is away in its seventh step, and for two resets after that."""
+
+    def __init__(self):
+        super().__init__()
+        self.made = self.missed = 0
+
+    def reset(self, seed=None, options=None):
+        if self.made == 7 and self.missed < 2:
+            self.missed += 1
+            raise EnvironmentOutageError("the arm is in emergency stop")
+        return super().reset(seed)
+
+    def step(self, actions):
+        self.made += 1
+        if self.made == 7:
+            raise EnvironmentOutageError("the arm is in emergency stop")
+        return super().step(actions)

@@ -92,7 +92,7 @@ def a_collecting_worker(monkeypatch, cuts):
     monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
-    worker._cuts_chunks, worker._outages = cuts, Recorded("outages", [])
+    worker._cuts_chunks = cuts
     worker._learner.store = SimpleNamespace(version=1)
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
