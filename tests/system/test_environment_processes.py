@@ -89,7 +89,7 @@ def test_ctrl_c_leaves_no_process_and_no_step_behind(begun: Begun) -> None:
     """A worker that is interrupted early in a long chunk delivers the steps that it has."""
     slow = DOORS.replace("chunk_steps = 16", "chunk_steps = 5000").replace("= 64", "= 40000")
     training = begun("train", "--env", SIMULATED, "--env.arguments", '{"pause": 0.02}', "--no-report", toml=slow)
-    until("a simulator for each environment of the worker", lambda: len(training.simulators()) == 4)
+    until(lambda: len(training.simulators()) == 4, "a simulator for each environment of the worker")
     time.sleep(5.0)
     training.process.send_signal(signal.SIGINT)
     code, output = training.ended()
@@ -129,7 +129,7 @@ def test_an_evaluation_that_is_ended_closes_its_environments(begun: Begun) -> No
             "--farms",
             "1000:1100",
         )
-        until("simulators", lambda command=evaluation: len(command.simulators()) == 32)
+        until(lambda command=evaluation: len(command.simulators()) == 32, "simulators")
         time.sleep(1.0)
         evaluation.process.send_signal(number)
         assert evaluation.ended()[0] == code
