@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from eia_sec.common.actions import lattice
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import ConfigError
 
@@ -29,8 +30,6 @@ SIGNS: Final = slice(2, 4)
 """Part of an observation that holds the signs of mirrored axes, 1 or -1."""
 GAIN: Final = 1.5
 """An output of magnitude above 1 / (2 GAIN), a third, selects the neighbouring lattice point."""
-EDGE: Final = 1e-4
-"""Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
 CENTRE: Final = 0.5
 """Inset of a lattice whose steps end at the cells' centres."""
 NEAR: Final = 1e-6
@@ -142,19 +141,18 @@ class Lattice:
         Returns:
             [..., 2] float32 in [-1, 1].
         """
-        count, one = _pair(self.columns, self.rows), np.float32(1)
-        share = (position + one) * np.float32(0.5)
-        step = _clipped(np.rint(np.float32(GAIN) * action), -one, one)
-        cell = _clipped(self.cell(position) + step, np.float32(0), count - one)
-        inset = np.float32(self.inset)
-        goal = _clipped(share, np.divide(cell + inset, count), np.divide(cell + (one - inset), count))
-        return _clipped(np.divide(goal - share, _pair(self.reach_x, self.reach_y)), -one, one)
+        count, share = _pair(self.columns, self.rows), lattice.share_of(position)
+        step = _clipped(np.rint(np.float32(GAIN) * action), np.float32(-1), np.float32(1))
+        cell = lattice.cell_beside(lattice.cell_at(share, count), step, count)
+        velocity: Float32 = lattice.velocity_to(
+            cell, share, count, _pair(self.reach_x, self.reach_y), np.float32(self.inset)
+        )
+        return velocity
 
     def cell(self, position: Float32) -> Float32:
         """Return the column and the row of the cells, [..., 2] whole numbers, that hold positions [..., 2] float32."""
-        count = _pair(self.columns, self.rows)
-        share = (position + np.float32(1)) * np.float32(0.5)
-        return _clipped(np.floor(share * count + np.float32(EDGE)), np.float32(0), count - np.float32(1))
+        cell: Float32 = lattice.cell_at(lattice.share_of(position), _pair(self.columns, self.rows))
+        return cell
 
     def complaint(self, observation: Float32) -> str:
         """Return an empty string: every position has a cell."""
@@ -163,7 +161,7 @@ class Lattice:
     def constants(self) -> dict[str, Any]:
         """Return count, reach, gain, edge and inset."""
         count, reach = [self.columns, self.rows], [self.reach_x, self.reach_y]
-        return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE, "inset": self.inset}
+        return {"count": count, "reach": reach, "gain": GAIN, "edge": lattice.EDGE, "inset": self.inset}
 
 
 @dataclass(frozen=True)

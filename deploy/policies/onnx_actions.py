@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.actions.adapters import (
-    EDGE,
     GAIN,
     POSITION,
     SIGNS,
@@ -20,6 +19,7 @@ from eia_sec.common.actions.adapters import (
     MirroredAxes,
     NineMoves,
 )
+from eia_sec.common.actions.lattice import EDGE
 from eia_sec.common.actions.sampling import ILLEGAL
 from eia_sec.common.team import GroupSpec
 

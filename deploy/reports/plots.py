@@ -33,8 +33,8 @@ from eia_sec.rollout.rendering.palette import (
     TYPES,
     LineStyle,
 )
+from eia_sec.rollout.sim.conditions.wind import wind_series
 from eia_sec.rollout.sim.layout import make_layout
-from eia_sec.rollout.sim.wind import wind_series
 
 DPI: Final = 150
 OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

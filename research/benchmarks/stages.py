@@ -11,10 +11,10 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-import eia_sec.rollout.sim.kernel.step as kernel
+import eia_sec.rollout.sim.core.step as kernel
 from eia_sec.common.config import FarmConfig
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.kernel.compiler.decorators import ALLOCATION_FREE
+from eia_sec.rollout.sim.core.compile import ALLOCATION_FREE
 
 STAGED = ("_move", "_serve", "_observe")
 """Functions whose calls are the stages, in the order in which a step calls them."""

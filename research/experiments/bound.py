@@ -26,10 +26,10 @@ from eia_sec.common.errors import ConfigError
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.kernel.camera import plot_quality
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.flight.motion import flight_power
-from eia_sec.rollout.sim.layout import cell_counts, make_layout
+from eia_sec.rollout.sim.core.camera import plot_quality
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.motion import flight_power
+from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.sweep_routes import plot_half
 from research.experiments.reporting import farm_range
 
@@ -41,7 +41,7 @@ PLACES: Final = 401
 
 def images_one_plot(config: FarmConfig) -> bool:
     """Return whether a camera images no plot but the one that it is over, tried on a fine grid around a plot."""
-    camera, half = constants(config, cell_counts(config.world)).camera, plot_half(config.world)
+    camera, half = constants(config).camera, plot_half(config.world)
     beside = np.linspace(1.0, 3.0, PLACES)
     places = [half + half * (along * np.array(axis)) for axis in ((1.0, 0.0), (0.0, 1.0)) for along in beside]
     return all(plot_quality(camera, float(x), float(y), 0, 0) < camera.threshold for x, y in places)
@@ -77,7 +77,7 @@ def upper_bound(config: FarmConfig, farm: int) -> dict[str, float]:
     world, pay = config.world, config.reward
     if pay.positioning_sign == "printed":
         raise ConfigError("with the printed sign a relay is paid for flying away, and D_c at the start bounds nothing.")
-    known = constants(config, cell_counts(world))
+    known = constants(config)
     speeds = np.linspace(0.0, float(np.hypot(world.speed_x_max, world.speed_y_max)), SPEEDS)
     least = min(flight_power(known.flight, float(speed)) for speed in speeds)
     spent = [pay.energy * (least + extra) * world.steps * world.step_seconds for extra in known.fleet.payloads]

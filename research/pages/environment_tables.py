@@ -2,7 +2,7 @@
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from eia_sec.common.config import FailureConfig, FarmConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.farm import farm_team
-from eia_sec.rollout.envs.spaces import Part, observation_parts
+from eia_sec.common.farm_observation import TYPES, Part, observation_parts
 from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.rendering.render import Renderer
 from eia_sec.rollout.shipped_policies import preset_of
@@ -49,53 +49,45 @@ def picture() -> NDArray[np.uint8]:
     return pixels
 
 
+HEAD: Final = "| agents | observation | numbers | from | to | meaning | when |\n|---|---|---:|---:|---:|---|---|"
+
+
 def spaces_table(config: FarmConfig) -> str:
     """Return one table row for each part of each type's observation."""
-    lines = ["| agents | observation | numbers | from | to | meaning |", "|---|---|---:|---:|---:|---|"]
-    parts = observation_parts(config)
+    lines = [HEAD]
     for group in farm_team(config).groups:
-        name = f"`{group.name}_0` .. `_{group.count - 1}`, {group.observation_size} numbers"
-        for times, part in _runs(parts[group.name]):
-            numbers = f"{times} x {part.size}" if times > 1 else str(part.size)
-            lines.append(f"| {name} | {part.name} | {numbers} | {part.low:.7g} | {part.high:.7g} | {part.meaning} |")
-            name = ""
+        label = f"`{group.name}_0` .. `_{group.count - 1}`, {group.observation_size} numbers"
+        lines += _rows(label, observation_parts(config, group.name))
     return "\n".join(lines) + "\n"
 
 
 def added_table() -> str:
-    """Return one table row for each part of the observations that switches add, all of them on."""
+    """Return one table row for each part of the observations that options add, all of them on."""
     farm = preset("study").farm
-    seen = replace(
-        farm.observation,
-        peers=3,
-        last_move=True,
-        closing=True,
-        units=2,
-        plan=12,
-        fields=True,
-        coarse=True,
-        phases=True,
-        route=True,
-        service=True,
-        link=True,
-        stress=True,
-        charge=True,
-        advice="horizon",
-        wind=True,
-        zones=True,
-    )
-    plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
-    lines.append("|---|---|---:|---:|---:|---|")
+    switches = ("last_move", "closing", "fields", "coarse", "phases", "route", "service", "link", "stress", "charge")
+    on = dict.fromkeys((*switches, "wind", "zones"), True)
+    seen = replace(farm.observation, peers=3, units=2, plan=12, advice="horizon", **on)
     chained = replace(farm.relay, require_link=True, base="south")
     more = replace(farm, observation=seen, failures=FailureConfig(per_hour=1.0), relay=chained)
-    for name, parts in observation_parts(more).items():
-        added = tuple(part for part in parts if part not in plain[name])
-        label = f"`{name}`, {sum(part.size for part in added)} numbers"
-        for times, part in _runs(added):
-            numbers = f"{times} x {part.size}" if times > 1 else str(part.size)
-            lines.append(f"| {label} | {part.name} | {numbers} | {part.low:.7g} | {part.high:.7g} | {part.meaning} |")
-            label = ""
+    lines = [HEAD]
+    for name in TYPES:
+        there = {part.names for part in observation_parts(farm, name)}
+        added = [part for part in observation_parts(more, name) if part.names not in there]
+        lines += _rows(f"`{name}`, {sum(part.size for part in added)} numbers", added)
     return "\n".join(lines) + "\n"
+
+
+def _rows(label: str, parts: Sequence[Part]) -> Iterator[str]:
+    """Yield a row for each part; those of a block that repeats (one for each sensor) once with their number."""
+    for name, group in itertools.groupby(parts, key=lambda part: part.label):
+        block = [(part.size, part.low, part.high, part.meaning, part.when) for part in group]
+        kinds = list(dict.fromkeys(block))
+        times = len(block) // len(kinds) if block == kinds * (len(block) // len(kinds)) else 1
+        for size, low, high, meaning, when in kinds:
+            what, numbers = (f"each {name}", f"{times} x {size}") if times > 1 else (name, str(size))
+            by = f"`{when}`" if when.isidentifier() else when
+            yield f"| {label} | {what} | {numbers} | {low:.7g} | {high:.7g} | {meaning} | {by} |"
+            label = ""
 
 
 def timings(root: Path) -> str:
@@ -115,16 +107,6 @@ def timings(root: Path) -> str:
         f"`{data['command']}`, one core that other work shared:\n\n" + "\n".join(lines) + "\n\n"
         f"Pictures: {data['pictures_per_second']:.0f} a second.\n"
     )
-
-
-def _runs(parts: tuple[Part, ...]) -> Iterator[tuple[int, Part]]:
-    """Yield parts in their order, those of a block that repeats (one for each sensor) once with their number."""
-    for name, group in itertools.groupby(parts, key=lambda part: part.name):
-        block = list(group)
-        kinds = list(dict.fromkeys(block))
-        times = len(block) // len(kinds) if block == kinds * (len(block) // len(kinds)) else 1
-        for part in kinds:
-            yield times, part._replace(name=name if times == 1 else f"each {name}")
 
 
 BLOCKS: Final[Mapping[str, Block]] = {

@@ -103,11 +103,10 @@ def patient_with(config: RunConfig) -> AbstractContextManager[None]:
 
 
 def _farm_spec(farm: FarmConfig) -> EnvironmentSpec:
-    from eia_sec.rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
-    from eia_sec.rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
+    from eia_sec.rollout.sim.core.constants import constants  # noqa: PLC0415  (loads the compiler)
 
     # Refuses farms that cannot be simulated.
-    constants(farm, cell_counts(farm.world))
+    constants(farm)
     return farm_environment(farm)
 
 

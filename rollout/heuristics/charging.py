@@ -13,9 +13,8 @@ from eia_sec.common.config.farm.polygons import inside_any
 from eia_sec.common.farm import farm_team
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.boxes import Array
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.flight.motion import flight_power
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.motion import flight_power
 from eia_sec.rollout.sim.stations import station_places
 
 RESERVE: Final = 0.2
@@ -33,7 +32,7 @@ class Charging:
     """
 
     def __init__(self, config: FarmConfig, reserve: float = RESERVE) -> None:
-        world, numbers = config.world, constants(config, cell_counts(config.world))
+        world, numbers = config.world, constants(config)
         self._capacity, self._reserve = config.battery.capacity, reserve
         self._stations = station_places(config)
         self._types = farm_team(config).agent_slices()

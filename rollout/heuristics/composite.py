@@ -27,7 +27,6 @@ from eia_sec.rollout.heuristics.steering import AWAY, loiter, loiter_speed
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.boxes import Array
 from eia_sec.rollout.sim.layout import Layout
-from eia_sec.rollout.sim.stress import known_cycles
 
 RELAYS: Final = 0
 MONITORS: Final = 1
@@ -197,6 +196,6 @@ class CompositePolicy:
             aoi=farms.aoi[index],
             vdf=farms.vdf[index].reshape(-1),
             assignment=np.where(served >= 0, number[served], -1),
-            cycles=known_cycles(farms, index),
+            cycles=farms.known_cycles(index),
             wind=None if wind is None else wind[0, 0],
         )

@@ -8,10 +8,9 @@ from scipy.optimize import linear_sum_assignment
 
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, RELAYS, FarmState
-from eia_sec.rollout.sim.base_station import joined_relays, relay_gaps
 from eia_sec.rollout.sim.boxes import Array
-from eia_sec.rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.conditions.links import joined_relays, relay_gaps
+from eia_sec.rollout.sim.core.constants import LEAST_LINK, RelayConstants, constants
 
 GAIN: Final = 0.02
 """Fraction of the distance to its centre that a relay flies in one step."""
@@ -59,7 +58,7 @@ class SearchRelays:
     """
 
     def __init__(self, state: FarmState) -> None:
-        self._relay = constants(state.config, cell_counts(state.config.world)).relay
+        self._relay = constants(state.config).relay
         self._heights = served_heights(state)
         self._places: Array | None = None
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.rollout.sim.boxes import SLOWEST, possible, reach
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.flight.motion import flight_power
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.motion import flight_power
 
 Array = NDArray[np.float64]
 
@@ -85,7 +84,7 @@ def keep_apart(position: Array, action: Array, world: WorldConfig, wind: Array |
 
 def loiter_speed(config: FarmConfig) -> float:
     """Return the speed up to LOITER_MAX with the least flight power, m/s. In the printed model hovering costs most."""
-    flight = constants(config, cell_counts(config.world)).flight
+    flight = constants(config).flight
     speeds = np.linspace(0.0, LOITER_MAX, 101)
     return float(speeds[np.argmin([flight_power(flight, speed) for speed in speeds])])
 

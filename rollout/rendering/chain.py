@@ -11,7 +11,7 @@ from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COMMUNICATION
 from eia_sec.rollout.rendering.palette import BASE_MARKER, COLOURS
 from eia_sec.rollout.rendering.scene import Scene, hop_lines
-from eia_sec.rollout.sim.base_station import base_place
+from eia_sec.rollout.sim.stations import base_place
 
 INK: Final = "0.1"
 WIDTH: Final = 1.6

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.rollout.rendering.palette import TYPES
-from eia_sec.rollout.sim.base_station import base_place, joined_relays, relay_gaps
 from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.conditions.links import joined_relays, relay_gaps
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.reference.farm import noise_mw, packet_loss, received_mw
+from eia_sec.rollout.sim.stations import base_place
 
 Numbers = NDArray[np.float64]
 

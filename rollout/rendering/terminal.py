@@ -14,8 +14,7 @@ from eia_sec.common.config.farm.polygons import inside, inside_any
 from eia_sec.common.farm import COMMUNICATION, LETTERS, farm_team
 from eia_sec.rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, STRESS, TYPES, ZONE, rgb, shade
 from eia_sec.rollout.rendering.scene import Scene, hop_lines, wind_text
-from eia_sec.rollout.sim.base_station import base_place
-from eia_sec.rollout.sim.stations import station_places
+from eia_sec.rollout.sim.stations import base_place, station_places
 
 Pixels = NDArray[np.uint8]
 

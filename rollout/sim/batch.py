@@ -19,16 +19,15 @@ from eia_sec.common.farm import farm_environment
 from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
-from eia_sec.rollout.sim.failures import NEVER, failure_steps
-from eia_sec.rollout.sim.kernel.allocation import make_scratch
-from eia_sec.rollout.sim.kernel.arrays import REWARD_PARTS
-from eia_sec.rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
-from eia_sec.rollout.sim.kernel.flight.airspace import zone_sides
-from eia_sec.rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
+from eia_sec.rollout.sim.conditions.failures import NEVER, failure_steps
+from eia_sec.rollout.sim.conditions.stress import first_counters, patches, shorter, within
+from eia_sec.rollout.sim.conditions.wind import wind_series
+from eia_sec.rollout.sim.conditions.zones import zone_sides
+from eia_sec.rollout.sim.core.arrays import REWARD_PARTS, make_scratch
+from eia_sec.rollout.sim.core.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
+from eia_sec.rollout.sim.core.workspace import PackedArguments, make_workspace
 from eia_sec.rollout.sim.layout import Layout, make_layout
-from eia_sec.rollout.sim.stress import first_counters, patches
-from eia_sec.rollout.sim.sweep_routes import divided_among
-from eia_sec.rollout.sim.wind import wind_series
+from eia_sec.rollout.sim.sweep_routes import divided_among, plot_centres
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -56,7 +55,6 @@ class FarmBatch:
         observation: [E, O] float32, current observations of all agents.
         reward: [E, n] float32 rewards of the last step.
         parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
-        time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] always False (A5).
         position: [E, n, 2] m; a UAV that is gone stays where it failed.
         gone: [E, n] whether a UAV has failed (`farm.failures`), is missing or has no charge left.
@@ -83,7 +81,7 @@ class FarmBatch:
         stressed: [E, n_px, n_py] 1 for plots in areas, and in living patches that are known; [E, 0, n_py] if there is
             no stress.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
-            what it was worth to the team as far as known, see `eia_sec.rollout.sim.kernel.hindsight`; None unless
+            what it was worth to the team as far as known, see `eia_sec.rollout.sim.core.hindsight`; None unless
             tracked.
 
     Raises:
@@ -123,7 +121,6 @@ class FarmBatch:
         self.observation: Float32 = self._state.observation
         self.reward: Float32 = self._state.reward
         self.parts: NDArray[np.float64] = self._state.parts
-        self.time: NDArray[np.int64] = self._state.time
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.position: NDArray[np.float64] = self._state.shown if config.loses_uavs else self._state.position
         self.gone: NDArray[np.bool_] = self._state.gone
@@ -142,6 +139,11 @@ class FarmBatch:
         self.patch_known: NDArray[np.bool_] = self._state.patch_known
         self.stressed: NDArray[np.float64] = self._state.stressed
         self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
+
+    @property
+    def time(self) -> NDArray[np.int64]:
+        """[E] steps done in this episode; -1 before the first reset. A new view at each access."""
+        return self._state.time[:, 0]
 
     @property
     def plot_growth(self) -> NDArray[np.int32]:
@@ -165,7 +167,7 @@ class FarmBatch:
     def potential(self) -> Float32:
         """[E, n] Phi = +alpha_1 D_c t_step of relays, -alpha_1 D_c t_step with the printed sign (W1); else 0.
 
-        The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `eia_sec.rollout.sim.kernel.rewards`.
+        The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `eia_sec.rollout.sim.core.rewards`.
         """
         weight, phi = self._constants.reward, np.zeros_like(self.reward)
         phi[:, : self.service.shape[1]] = -weight.positioning * self.service * self.config.world.step_seconds
@@ -186,6 +188,23 @@ class FarmBatch:
         """Return the farm of an environment; raise SimulationError before its first reset."""
         self._begun(index)
         return make_layout(self.config, self._seeds[index][0])
+
+    def known_cycles(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the cycles of an environment's counters as the team knows them, plots [P] and sensors [S], steps."""
+        layout, world, stress = self.layout(index), self.config.world, self.config.stress
+        plots = np.full(world.plots_x * world.plots_y, round(world.vdf_cycle / world.step_seconds))
+        sensors = layout.sensor_cycle_steps
+        if stress.some:
+            first, end = self.patch_time[index].T
+            known = self.patch_known[index] & (first <= self.time[index]) & (self.time[index] < end)
+            place = self.patch_place[index]
+            in_patch = (within(self.config, place, known, xy) for xy in (plot_centres(world), layout.sensor_xy))
+            in_area = self.plot_growth[index].reshape(-1), self.sensor_growth[index]
+            plots, sensors = (
+                shorter(cycles, np.where(covered, np.maximum(growth, stress.growth), growth))
+                for cycles, covered, growth in zip((plots, sensors), in_patch, in_area, strict=True)
+            )
+        return plots, sensors
 
     def seeds(self, index: int) -> tuple[int, int]:
         """Return the farm seed and the episode seed of an environment; -1 twice before its first reset."""

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import shortest_path
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.config.farm.polygons import Flags, following
 from eia_sec.rollout.sim.boxes import Array, reach
-from eia_sec.rollout.sim.kernel.flight.airspace import find_inside, refuse_moves, zone_sides
+from eia_sec.rollout.sim.conditions.zones import find_inside, refuse_moves, zone_sides
 from eia_sec.rollout.sim.layout import Layout
 
 MARGIN: Final = 1.0

@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.conditions.zones import make_zones
+from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.densities import density_of
 from eia_sec.rollout.sim.poisson_disk import sample_positions
-from eia_sec.rollout.sim.zones import make_zones
 
-CELL: Final = 25.0
-"""Edge of the cells that order the sensors, m; larger if an axis would otherwise have more than MAX_CELLS."""
-MAX_CELLS: Final = 128
-"""Most cells along one axis."""
 GIVEN: Final = "given"
 """Density of a layout whose positions come from the configuration."""
 
@@ -78,12 +75,6 @@ def make_layout(farm: FarmConfig, seed: int) -> Layout:
     for array in (xy, kind, steps, phase, plot_phase, start):
         array.setflags(write=False)
     return Layout(seed, density, xy, kind, steps, phase, plot_phase, cells, start, make_zones(farm, seed))
-
-
-def cell_counts(world: WorldConfig) -> tuple[int, int]:
-    """Return the number of cells along x and y."""
-    x, y = (min(MAX_CELLS, max(1, int(size // CELL))) for size in (world.field_x, world.field_y))
-    return x, y
 
 
 def _number(

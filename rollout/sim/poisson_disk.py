@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from eia_sec.common.config import WorldConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.seeds import stream
+from eia_sec.rollout.sim.core.compile import compiled_entry
 from eia_sec.rollout.sim.densities import make_density
-from eia_sec.rollout.sim.kernel.compiler.decorators import compiled_entry
 
 BLOCKS: Final = 64
 """Blocks of candidates to try before a layout counts as impossible."""

@@ -10,10 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from eia_sec.common.actions.adapters import EDGE, Headings, Lattice, MirroredAxes, NineMoves
+from eia_sec.common.actions.adapters import Headings, Lattice, MirroredAxes, NineMoves
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.team import Float32, GroupSpec, TeamSpec
-from eia_sec.rollout.sim.kernel.compiler.decorators import compiled, compiled_entry
+from eia_sec.rollout.sim.core.compile import compiled, compiled_entry
+from eia_sec.rollout.sim.core.lattice import cell_at, cell_beside, share_of, velocity_to
 
 ONE: Final = np.float32(1)
 ZERO: Final = np.float32(0)
@@ -93,7 +94,7 @@ def _compiled(group: GroupSpec) -> _Compiled:
     assert isinstance(second, Lattice)
     steps = first.adapt(nothing, np.arange(first.options, dtype=np.float32)[:, None])
     counts, reach = (second.columns, second.rows), (second.reach_x, second.reach_y)
-    return _Compiled(steps, np.array([*counts, *reach, second.inset, EDGE], np.float32), nothing, mirrored)
+    return _Compiled(steps, np.array([*counts, *reach, second.inset], np.float32), nothing, mirrored)
 
 
 @compiled
@@ -120,12 +121,8 @@ def _sample_option(logits: Float32, weight: Float32, uniform: np.float32) -> tup
 @compiled
 def _along(position: np.float32, step: np.float32, axis: int, lattice: Float32) -> np.float32:
     """Return the velocity along an axis that a step on the lattice becomes, as `Lattice.velocity` does."""
-    count, reach, inset, edge = lattice[axis], lattice[2 + axis], lattice[4], lattice[5]
-    share = (position + ONE) * HALF
-    here = min(max(np.float32(math.floor(share * count + edge)), ZERO), count - ONE)
-    cell = min(max(here + step, ZERO), count - ONE)
-    goal = min(max(share, (cell + inset) / count), (cell + (ONE - inset)) / count)
-    return min(max((goal - share) / reach, -ONE), ONE)
+    count, share = lattice[axis], share_of(position)
+    return velocity_to(cell_beside(cell_at(share, count), step, count), share, count, lattice[2 + axis], lattice[4])
 
 
 @compiled
@@ -157,7 +154,7 @@ def sample_choices(
         uniform: [E, n] uniform over [0, 1).
         seen: [E, n, o] the agents' observations.
         table: [options, 2] steps of the nine moves, or velocities of the headings after idle flight.
-        lattice: [6] columns, rows, reach along x and y, inset and tolerance of the moves' lattice; [0] for headings.
+        lattice: [5] columns, rows, reach along x and y, and inset of the moves' lattice; [0] for headings.
         idle: [2] speed of idle flight and its way in a step, see `Headings`; [0] for moves.
         mirrored: whether agents act along axes of their own.
         option: [E, n] out: the options.

@@ -1,7 +1,7 @@
 """Rewards that pay each visit what it turned out to be worth to the team.
 
 A plot imaged at VDF u pays u, but if another image follows soon, most of u would have been paid to that one. The
-environment knows in hindsight what each visit was worth (`eia_sec.rollout.sim.kernel.hindsight` has the derivation) and
+environment knows in hindsight what each visit was worth (`eia_sec.rollout.sim.core.hindsight` has the derivation) and
 keeps the correction of every step's reward in `Environments.hindsight`. Rows that learners train on hold
 
     r' = r + s correction

@@ -33,11 +33,10 @@ from eia_sec.rollout.rendering.palette import (
     ZONE,
 )
 from eia_sec.rollout.rendering.scene import TRAIL_STEPS, camera_radius, chain_of, links_up, radio_radius
-from eia_sec.rollout.sim.base_station import base_place
+from eia_sec.rollout.sim.conditions.stress import patches
+from eia_sec.rollout.sim.conditions.wind import wind_series
 from eia_sec.rollout.sim.layout import Layout
-from eia_sec.rollout.sim.stations import station_places
-from eia_sec.rollout.sim.stress import patches
-from eia_sec.rollout.sim.wind import wind_series
+from eia_sec.rollout.sim.stations import base_place, station_places
 
 _LENGTH: Final = struct.Struct("<I")
 _DTYPES: Final = {"<f4": "f4", "|u1": "u1"}

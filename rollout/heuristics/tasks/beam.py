@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.rollout.sim.kernel.compiler.decorators import compiled, compiled_entry
+from eia_sec.rollout.sim.core.compile import compiled, compiled_entry
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -17,10 +17,9 @@ from eia_sec.rollout.heuristics.tasks import lawnmower
 from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
 from eia_sec.rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
 from eia_sec.rollout.sim.boxes import reach
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.motion import flight_power
 from eia_sec.rollout.sim.detours import Airspace, airspace_of
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.flight.motion import flight_power
-from eia_sec.rollout.sim.layout import cell_counts
 from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 LAST: Final = 60
@@ -162,7 +161,7 @@ class HorizonGroupPolicy:
 def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:
     """Return the reward of UAVs of a type for one step. Both UAVs of a pair pay for closing in."""
     reward, world = config.reward, config.world
-    flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
+    flight, across = constants(config).flight, reach(world) / world.step_seconds
     speeds = 0.0, float(across.mean()), float(np.hypot(*across))
     still, straight, diagonal = (-reward.energy * flight_power(flight, v) * world.step_seconds for v in speeds)
     monitoring = kind == MONITORS

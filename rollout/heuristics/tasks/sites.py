@@ -10,10 +10,9 @@ from scipy.spatial import cKDTree
 
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.rollout.sim.boxes import Array, reach
-from eia_sec.rollout.sim.kernel.camera import plot_quality
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.radio import delivery, received_power
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.core.camera import plot_quality
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.radio import delivery, received_power
 
 Indices = NDArray[np.int64]
 
@@ -27,7 +26,7 @@ CHANCE_STEP: Final = 0.25
 
 def images_succeed(config: FarmConfig, places: Array, plots: Indices) -> NDArray[np.bool_]:
     """Return whether a UAV over each place [P, 2] m takes a good image of its plot [P], a row-major index."""
-    camera, rows = constants(config, cell_counts(config.world)).camera, config.world.plots_y
+    camera, rows = constants(config).camera, config.world.plots_y
     pairs = zip(places.tolist(), plots.tolist(), strict=True)
     quality = [plot_quality(camera, x, y, plot // rows, plot % rows) for (x, y), plot in pairs]
     return np.array(quality) >= camera.threshold
@@ -54,7 +53,7 @@ def radio_range(config: FarmConfig, chance: float) -> float:
 @functools.lru_cache(maxsize=8)
 def _chance_table(config: FarmConfig) -> Array:
     """Return the probability at each multiple of CHANCE_STEP, with a final 0 beyond the field's diagonal."""
-    radio, height = constants(config, cell_counts(config.world)).radio, config.world.height_collection
+    radio, height = constants(config).radio, config.world.height_collection
     distances = np.arange(0.0, np.hypot(config.world.field_x, config.world.field_y), CHANCE_STEP)
     squares = distances * distances + height * height
     return np.array([*(delivery(radio, received_power(radio, square), 0.0) for square in squares), 0.0])

@@ -3,40 +3,35 @@
 They share with the kernel the table of delivery probabilities and the constants that are ours.
 """
 
-from __future__ import annotations
-
 import functools
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.common.actions.adapters import EDGE, MirroredAxes, NineMoves
+from eia_sec.common.actions.adapters import MirroredAxes, NineMoves
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
-from eia_sec.rollout.sim.kernel.link import radio_constants
-from eia_sec.rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
-from eia_sec.rollout.sim.kernel.views.fields import FLOOR, SCALE
-from eia_sec.rollout.sim.kernel.views.routes import STAY
-from eia_sec.rollout.sim.kernel.views.units import MOST
+from eia_sec.common.farm_observation import FIELD_SCALE, MOST_UNITS, field_range
+from eia_sec.rollout.sim.core.link import radio_constants
+from eia_sec.rollout.sim.observation.constants import PIECES, RATIO, chance_table
+from eia_sec.rollout.sim.observation.fields import FLOOR
+from eia_sec.rollout.sim.observation.routes import STAY
 from eia_sec.rollout.sim.reference.airspace import airspace_view
 from eia_sec.rollout.sim.reference.axes import place_of, signs_of
 from eia_sec.rollout.sim.reference.battery import charge_view
 from eia_sec.rollout.sim.reference.links import link_view, links_view
 from eia_sec.rollout.sim.reference.plans import plan_view, plans, worths
 from eia_sec.rollout.sim.reference.routes import route_view
+from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.reference.stress import stress_view
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 MOVES = NineMoves().adapt(np.zeros(0, np.float32), np.arange(9, dtype=np.float32)[:, None])
 """The nine moves, [9, 2] steps along the agent's own axes."""
 
 
-def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def added_view(farm: FarmState, u: int, signs: Array) -> Array:
     """Return the added observations of a UAV whose axes have these signs."""
     seen, kind = farm.config.observation, farm.kind[u]
     worth = worths(farm, u, signs, places(farm, u)) if kind else np.zeros(9)
@@ -73,25 +68,25 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     return np.concatenate(parts)
 
 
-def _world(farm: ReferenceFarm) -> tuple[Array, Array]:
+def _world(farm: FarmState) -> tuple[Array, Array]:
     """Return the field's sides and the length of a step at full speed, [2] m each."""
     world = farm.config.world
     step = np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
     return np.array([world.field_x, world.field_y]), step
 
 
-def velocity(farm: ReferenceFarm, u: int) -> Array:
+def velocity(farm: FarmState, u: int) -> Array:
     """Return a UAV's last velocity [2] as a share of full speed."""
     return np.asarray((farm.position[u] - farm.before[u]) / _world(farm)[1])
 
 
-def nearest_of_type(farm: ReferenceFarm, u: int) -> list[int]:
+def nearest_of_type(farm: FarmState, u: int) -> list[int]:
     """Return the other UAVs of a UAV's type, nearest first."""
     mates = [int(o) for o in farm.living(farm.kind[u]) if o != u]
     return sorted(mates, key=lambda o: float(((farm.position[o] - farm.position[u]) ** 2).sum()))
 
 
-def places(farm: ReferenceFarm, u: int) -> Array:
+def places(farm: FarmState, u: int) -> Array:
     """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step."""
     world, signs, (size, _) = farm.config.world, signs_of(farm, u), _world(farm)
     own = (place_of(farm, u) * signs).astype(np.float32)
@@ -102,13 +97,13 @@ def places(farm: ReferenceFarm, u: int) -> Array:
     return np.asarray(np.clip(moved, 0.0, size))
 
 
-def relay_places(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def relay_places(farm: FarmState, u: int, signs: Array) -> Array:
     """Return where the nine moves of a relay lead, [9, 2] m: at full speed along each axis, up to the border."""
     size, step = _world(farm)
     return np.asarray(np.clip(farm.position[u] + MOVES * signs * step, 0.0, size))
 
 
-def _peers(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def _peers(farm: FarmState, u: int, signs: Array) -> Array:
     """Return offset, last velocity and presence of the nearest UAVs of the type, zeros for missing ones."""
     size, _ = _world(farm)
     view = np.zeros((farm.config.observation.peers, 5))
@@ -119,7 +114,7 @@ def _peers(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     return view.reshape(-1)
 
 
-def _risk(farm: ReferenceFarm, u: int) -> Array:
+def _risk(farm: FarmState, u: int) -> Array:
     """Return SR over d_safety of each move: mean over the peer's moves, then for a peer that keeps its velocity."""
     safety, (size, step) = farm.config.world.safety_distance, _world(farm)
     own, view = places(farm, u), np.zeros((2, 9))
@@ -132,38 +127,36 @@ def _risk(farm: ReferenceFarm, u: int) -> Array:
     return view.reshape(-1) / safety
 
 
-def _two_moves(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def _two_moves(farm: FarmState, u: int, signs: Array) -> Array:
     """Return the lattice points to which a second move leads after each first one, [9, 9, 2] m."""
     world = farm.config.world
     lattice, (size, _) = lattice_of(world), _world(farm)
     count = np.array([lattice.columns, lattice.rows])
     own = (place_of(farm, u) * signs).astype(np.float32)
-    share = (own + np.float32(1)) * np.float32(0.5)
-    cell = np.clip(np.floor(share * count.astype(np.float32) + np.float32(EDGE)), 0, count - 1)
-    once = np.clip(cell + MOVES, 0, count - 1)
+    once = np.clip(lattice.cell(own) + MOVES, 0, count - 1)
     twice = np.clip(once[:, None] + MOVES, 0, count - 1)
     middle = (twice + 0.5) * size / count
     return np.asarray(np.where(signs > 0.0, middle, size - middle))
 
 
-def _units(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def _units(farm: FarmState, u: int, signs: Array) -> Array:
     """Return the units of each move over their scale, then of each move and the best one after it."""
     world = farm.config.world
     bring, worth, scale = (
         (_images, farm.vdf.reshape(-1), world.vdf_max) if farm.kind[u] == 1 else (_packets, farm.aoi, 2 * world.aoi_max)
     )
     first = bring(farm, u, places(farm, u))
-    view = [np.minimum(MOST, first @ worth / scale)]
+    view = [np.minimum(MOST_UNITS, first @ worth / scale)]
     if farm.config.observation.units > 1:
         goals, which = np.unique(_two_moves(farm, u, signs).reshape(-1, 2), axis=0, return_inverse=True)
         second = bring(farm, u, goals)[which.reshape(9, 9)]
         left = worth * (1.0 - first)
         best = np.einsum("mns,ms->mn", second, left).max(axis=1)
-        view.append(np.minimum(2.0 * MOST, (first @ worth + best) / scale))
+        view.append(np.minimum(2.0 * MOST_UNITS, (first @ worth + best) / scale))
     return np.concatenate(view)
 
 
-def _own_points(farm: ReferenceFarm, u: int, where: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _own_points(farm: FarmState, u: int, where: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return squares of distances from places [K, 2] to points [I, 2], and whether u would be nearest there, [K, I]."""
     square = ((where[:, None] - points) ** 2).sum(axis=2)
     own = np.ones(square.shape, bool)
@@ -174,7 +167,7 @@ def _own_points(farm: ReferenceFarm, u: int, where: Array, points: Array) -> tup
     return np.asarray(square), own
 
 
-def _images(farm: ReferenceFarm, u: int, where: Array) -> Array:
+def _images(farm: FarmState, u: int, where: Array) -> Array:
     """Return 1 where the image of a plot would succeed from a place, else 0, [K, P]."""
     world, camera = farm.config.world, farm.config.camera
     size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
@@ -195,7 +188,7 @@ def _table(config: FarmConfig) -> tuple[Array, Array]:
     return np.linspace(0.0, limit, PIECES + 1, dtype=np.float64), chance[: PIECES + 1]
 
 
-def _packets(farm: ReferenceFarm, u: int, where: Array) -> Array:
+def _packets(farm: FarmState, u: int, where: Array) -> Array:
     """Return the probability that a sensor's packet arrives at a place, [K, S]."""
     square, own = _own_points(farm, u, where, farm.layout.sensor_xy)
     squares, chance = _table(farm.config)
@@ -203,7 +196,7 @@ def _packets(farm: ReferenceFarm, u: int, where: Array) -> Array:
     return np.asarray(np.where(heard, np.interp(square, squares, chance), 0.0))
 
 
-def _field_points(farm: ReferenceFarm, u: int) -> tuple[Array, Array]:
+def _field_points(farm: FarmState, u: int) -> tuple[Array, Array]:
     """Return the points of a UAV's value field [P, 2] and their levels over the largest [P]."""
     world = farm.config.world
     if farm.kind[u] == 1:
@@ -214,7 +207,7 @@ def _field_points(farm: ReferenceFarm, u: int) -> tuple[Array, Array]:
     return points, sums.reshape(-1) / world.aoi_max
 
 
-def cell_sums(farm: ReferenceFarm) -> Array:
+def cell_sums(farm: FarmState) -> Array:
     """Return the AoI in each sensor cell, [cells_x, cells_y]."""
     number = np.diff(farm.layout.cell_start)
     cell = np.repeat(np.arange(len(number)), number)
@@ -222,7 +215,7 @@ def cell_sums(farm: ReferenceFarm) -> Array:
     return np.asarray(sums.reshape(farm.layout.cells), np.float64)
 
 
-def _fields(farm: ReferenceFarm, u: int) -> Array:
+def _fields(farm: FarmState, u: int) -> Array:
     """Return for both ranges how the field grows with each move, and its size here."""
     points, level = _field_points(farm, u)
     step, goals = _world(farm)[1].sum(), np.concatenate([places(farm, u), farm.position[u][None]])
@@ -236,7 +229,7 @@ def _fields(farm: ReferenceFarm, u: int) -> Array:
     for width, value in ((far / RATIO, level), (far, level * np.minimum(level, 1.0))):
         field = np.exp(-apart / width) @ (share * value)
         grown = np.log((field[:9] + FLOOR) / (field[9] + FLOOR)) * width / step
-        view += [grown, [SCALE * math.log1p(field[9])]]
+        view += [grown, [FIELD_SCALE * math.log1p(field[9])]]
     return np.concatenate(view)
 
 
@@ -251,7 +244,7 @@ def _blocks(values: Array, own: NDArray[np.int64], signs: Array, blocks: int, si
     return view
 
 
-def _maps(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def _maps(farm: FarmState, u: int, signs: Array) -> Array:
     """Return the coarse maps."""
     world, (size, _) = farm.config.world, _world(farm)
     values = farm.vdf if farm.kind[u] == 1 else cell_sums(farm)
@@ -266,7 +259,7 @@ def _maps(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     return np.asarray(np.minimum(1.0, np.concatenate([near / (2 * world.aoi_max), wide / (32 * world.aoi_max)])))
 
 
-def _phases(farm: ReferenceFarm, u: int) -> Array:
+def _phases(farm: FarmState, u: int) -> Array:
     """Return the elapsed share of the cycles of the counters that a UAV looks after, and the steps left."""
     world = farm.config.world
     cycles = {0: (), 1: (world.vdf_cycle,), 2: world.sensor_cycles}[int(farm.kind[u])]
@@ -275,7 +268,7 @@ def _phases(farm: ReferenceFarm, u: int) -> Array:
     return np.array([*(farm.time % cycle / cycle for cycle in steps), min(1.0, left / 25), min(1.0, left / 100)])
 
 
-def _service(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def _service(farm: FarmState, u: int, signs: Array) -> Array:
     """Return D_c over the diagonal and its change over a diagonal step for each move at full speed."""
     size, step = _world(farm)
     here, now, view = farm.position[u].copy(), float(farm.service[u]), []

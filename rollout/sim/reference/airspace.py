@@ -1,21 +1,15 @@
 """Wind and no-fly zones of the reference farm: what they do to flight, and what UAVs see of them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config.farm.polygons import refused
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.reference.state import FarmState
 
 Array = NDArray[np.float64]
 
 
-def air_velocity(farm: ReferenceFarm, ground: Array) -> tuple[Array, Array]:
+def air_velocity(farm: FarmState, ground: Array) -> tuple[Array, Array]:
     """Return the velocities through the air and over ground, [n, 2] m/s each, that commanded ones [n, 2] lead to."""
     world = farm.config.world
     if not farm.config.wind.some:
@@ -25,12 +19,12 @@ def air_velocity(farm: ReferenceFarm, ground: Array) -> tuple[Array, Array]:
     return possible - wind, possible
 
 
-def stopped(farm: ReferenceFarm, goal: Array) -> NDArray[np.bool_]:
+def stopped(farm: FarmState, goal: Array) -> NDArray[np.bool_]:
     """Return which UAVs a zone stops on their way to the places [n, 2] m."""
     return refused(farm.position, goal, farm.layout.zones)
 
 
-def airspace_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def airspace_view(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return the wind that a UAV feels over full speed, and which moves to the places [9, 2] m zones refuse."""
     seen, world, parts = farm.config.observation, farm.config.world, [np.zeros(0)]
     if seen.wind:

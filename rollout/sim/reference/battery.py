@@ -1,28 +1,22 @@
 """Batteries on the reference farm."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.rollout.sim.kernel.flight.battery import STILL
+from eia_sec.rollout.sim.conditions.battery import STILL
+from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.stations import station_places
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 
 
-def nearest_station(farm: ReferenceFarm, u: int) -> Array:
+def nearest_station(farm: FarmState, u: int) -> Array:
     """Return the place of the station nearest to a UAV, [2] m."""
     places = station_places(farm.config)
     return np.asarray(places[np.argmin(((places - farm.position[u]) ** 2).sum(axis=1))])
 
 
-def landed(farm: ReferenceFarm) -> NDArray[np.bool_]:
+def landed(farm: FarmState) -> NDArray[np.bool_]:
     """Return which UAVs have landed at a station, [n]."""
     way = np.linalg.norm(farm.position - farm.before, axis=1)
     gap = [np.linalg.norm(nearest_station(farm, u) - farm.position[u]) for u in range(len(way))]
@@ -30,7 +24,7 @@ def landed(farm: ReferenceFarm) -> NDArray[np.bool_]:
     return np.asarray(still & (np.array(gap) <= farm.config.battery.landing) & ~farm.gone)
 
 
-def use_charge(farm: ReferenceFarm, payload: Array) -> None:
+def use_charge(farm: FarmState, payload: Array) -> None:
     """Take a step's energy from the batteries; `payload` [n] W is what a UAV needs that does not fly."""
     battery, seconds = farm.config.battery, farm.config.world.step_seconds
     down = landed(farm)
@@ -40,7 +34,7 @@ def use_charge(farm: ReferenceFarm, payload: Array) -> None:
     farm.failure = np.where(~farm.gone & (farm.charge <= 0.0), np.minimum(farm.failure, farm.time + 1), farm.failure)
 
 
-def charge_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def charge_view(farm: FarmState, u: int, signs: Array) -> Array:
     """Return a UAV's charge, the offset to the nearest station and what would be left there; shares."""
     world, battery = farm.config.world, farm.config.battery
     if not battery.some:

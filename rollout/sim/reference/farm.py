@@ -14,21 +14,20 @@ from scipy.special import erfc
 from eia_sec.common.config import FarmConfig, RadioConfig, RewardConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim.batch import packet_key, start_levels, start_positions
-from eia_sec.rollout.sim.failures import failure_steps
-from eia_sec.rollout.sim.kernel.relays import NO_LINK
+from eia_sec.rollout.sim.conditions.failures import failure_steps
+from eia_sec.rollout.sim.conditions.stress import patches
+from eia_sec.rollout.sim.conditions.wind import wind_series
+from eia_sec.rollout.sim.core.relays import NO_LINK
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.reference.airspace import air_velocity, stopped
 from eia_sec.rollout.sim.reference.battery import use_charge
 from eia_sec.rollout.sim.reference.links import joined_to_base, relayed
-from eia_sec.rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
+from eia_sec.rollout.sim.reference.power import dbm_to_mw, other_power
 from eia_sec.rollout.sim.reference.routes import advance, divide_again, first_sweep
+from eia_sec.rollout.sim.reference.state import Array, FarmState
 from eia_sec.rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from eia_sec.rollout.sim.reference.views import observe
 from eia_sec.rollout.sim.reference.ways import ways_of
-from eia_sec.rollout.sim.stress import patches
-from eia_sec.rollout.sim.wind import wind_series
-
-Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-12
 """A packet with a smaller probability of arrival is not sent, and a smaller utility counts as none (ours)."""
@@ -93,33 +92,13 @@ def densest_direction(own: Array, places: Array, value: Array) -> Array:
     return DIRECTIONS[int(np.argmax(sums))] if max(sums) > 0 else np.zeros(2)
 
 
-class ReferenceFarm:
+class ReferenceFarm(FarmState):
     """One simulated farm.
 
     Args:
         config: the farm.
         layout: the farm's sensors.
         episode_seed: determines where the UAVs start, which packets arrive and when UAVs fail.
-
-    Attributes:
-        position: [n, 2] m; before: [n, 2] the same one step ago.
-        aoi: [S]; vdf: [n_px, n_py].
-        wind: [T + 1, 2] of each step, m/s; no rows without wind.
-        gone: [n] whether a UAV has failed.
-        charge: [n] of the batteries, J.
-        known: [P] whether the team knows a patch of stress.
-        assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
-        joined: [n_c] whether hops lead from a relay to the base station, if there is one.
-        linked: [n_m + n_d] whether the work of a served UAV counts (W4).
-        service: [n_c] D_c, m.
-        link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
-        direction: [n, 2] D_VDF, D_AoI.
-        chance: [S] 1 - PLR of each sensor's packet in the last step.
-        energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; all of the last step.
-        observation: [O] float32.
-        ways: how sweep routes and plans lead round no-fly zones, if any do.
-        sweep: [n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, if seen.
-        time: steps done.
     """
 
     def __init__(self, config: FarmConfig, layout: Layout, episode_seed: int) -> None:
@@ -187,29 +166,6 @@ class ReferenceFarm:
         advance(self)
         self._look()
 
-    def power(self, u: int, speed: float) -> float:
-        """Return what a UAV needs at a speed, W."""
-        return flight_power(self.config.energy, speed) + other_power(self.config.energy, self.kind[u])
-
-    def distance(self, a: int, b: int, position: Array) -> float:
-        """Return the 3-D distance of two UAVs, m."""
-        return math.sqrt(((position[a] - position[b]) ** 2).sum() + (self.height[a] - self.height[b]) ** 2)
-
-    def living(self, kind: int) -> NDArray[np.int64]:
-        """Return the UAVs of a type that have not failed."""
-        return np.flatnonzero((self.kind == kind) & ~self.gone)
-
-    def nearest_uav(self, u: int) -> int:
-        """Return the closest UAV of the same plane, or of all (W10); -1 if there is none."""
-        kinds = (self.kind[u],) if self.config.reward.nearest == "plane" else (0, 1, 2)
-        others = [int(o) for kind in kinds for o in self.living(kind) if o != u]
-        return min(others, key=lambda o: self.distance(u, o, self.position), default=-1)
-
-    def served(self, relay: int) -> list[int]:
-        """Return the indices of the UAVs that a relay serves."""
-        first = self.config.world.communication_uavs
-        return [first + int(k) for k in np.flatnonzero(self.assignment == relay)]
-
     def assignment_costs(self) -> Array:
         """Return the cost of each pair, [n_m + n_d, n_c] (W3)."""
         relay, radio, world = self.config.relay, self.config.radio, self.config.world
@@ -243,19 +199,6 @@ class ReferenceFarm:
         quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
         self.link_quality = np.where(self.assignment >= 0, quality, NO_LINK)
         self.service = np.array([self.relay_service(r) for r in range(first)])
-
-    def relay_service(self, relay: int) -> float:
-        """Return D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc at the current positions, m."""
-        weights, place = self.config.relay, np.column_stack([self.position, self.height])
-        if self.gone[relay]:
-            return 0.0
-        served = self.served(relay)
-        centroid = farthest = 0.0
-        if served:
-            centroid = float(np.linalg.norm(place[relay] - place[served].mean(axis=0)))
-            farthest = float(np.linalg.norm(place[relay] - place[served], axis=1).max())
-        relays = float(np.linalg.norm(place[relay] - place[self.living(0)].mean(axis=0)))
-        return weights.weight_centroid * centroid + weights.weight_farthest * farthest + weights.weight_relays * relays
 
     def _photograph(self) -> None:
         """VMUF and eq. VDF: the UAV closest to a plot's centre takes its image (W18 to W23)."""

@@ -1,23 +1,18 @@
 """The reference farm's chains to the base station, what links are worth, and what UAVs and relays see of them."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.rollout.sim.base_station import base_place
-from eia_sec.rollout.sim.kernel.link import NEGLIGIBLE
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.core.link import NEGLIGIBLE
+from eia_sec.rollout.sim.reference.state import FarmState
+from eia_sec.rollout.sim.stations import base_place
 
 Array = NDArray[np.float64]
 
 
-def joined_to_base(farm: ReferenceFarm, without: int = -1) -> NDArray[np.bool_]:
+def joined_to_base(farm: FarmState, without: int = -1) -> NDArray[np.bool_]:
     """Return which relays hops lead from to the base station, [n_c], without one of the relays if it is given."""
     world, most = farm.config.world, farm.config.relay.hop_range
     places = np.column_stack([farm.position, farm.height])[: world.communication_uavs]
@@ -32,7 +27,7 @@ def joined_to_base(farm: ReferenceFarm, without: int = -1) -> NDArray[np.bool_]:
     return joined
 
 
-def relayed(farm: ReferenceFarm, relay: int) -> float:
+def relayed(farm: FarmState, relay: int) -> float:
     """Return what UAVs earn per second and would not without a relay's links and hops, which would make them idle."""
     weight, amount = farm.config.reward, 0.0
     if not farm.config.relay.require_link:
@@ -48,14 +43,14 @@ def relayed(farm: ReferenceFarm, relay: int) -> float:
     return float(amount)
 
 
-def _slack(farm: ReferenceFarm, a: int, b: int, where: Array) -> Array:
+def _slack(farm: FarmState, a: int, b: int, where: Array) -> Array:
     """Return link range less distance, m, for UAV a at several places [K, 2] while b stays where it is."""
     flat = ((where - farm.position[b]) ** 2).sum(axis=1)
     distance = np.sqrt(flat + (farm.height[a] - farm.height[b]) ** 2)
     return np.asarray(farm.config.relay.link_range - distance)
 
 
-def link_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def link_view(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return a UAV's offset to its relay, the link's slack and state, its slack after each move; 1 if it is joined.
 
     Args:
@@ -75,7 +70,7 @@ def link_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     return np.array([*offset, max(-1.0, share), float(now >= 0.0), *np.clip(then, -1.0, 1.0), *joined])
 
 
-def links_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def links_view(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return a relay's view of the UAVs that it serves, and of all its links after each move.
 
     Args:
@@ -100,7 +95,7 @@ def links_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array
     return np.concatenate([view.reshape(-1), (then >= 0.0).mean(axis=0), least, chain])
 
 
-def _chain(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def _chain(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return a relay's offset to the base station, 1 if it is joined, and the share joined after each move."""
     world, here, shares = farm.config.world, farm.position[u].copy(), []
     offset = (base_place(farm.config) - here) / (world.field_x, world.field_y) * signs
@@ -111,7 +106,7 @@ def _chain(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     return np.array([*offset, float(farm.joined[u]), *shares])
 
 
-def _step(farm: ReferenceFarm) -> float:
+def _step(farm: FarmState) -> float:
     """Return the length of a diagonal step at full speed, m."""
     world = farm.config.world
     return math.hypot(world.speed_x_max, world.speed_y_max) * world.step_seconds

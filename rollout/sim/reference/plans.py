@@ -4,31 +4,27 @@ They share with the kernel the table of delivery probabilities, the constants th
 equal plans are taken.
 """
 
-from __future__ import annotations
-
 import functools
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.common.actions.adapters import EDGE
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.config.farm.polygons import refused
 from eia_sec.common.farm import lattice_of
-from eia_sec.rollout.sim.kernel.link import radio_constants, reach_of
-from eia_sec.rollout.sim.kernel.plans.constants import DISCOUNT, HEARD
-from eia_sec.rollout.sim.kernel.plans.search import NOTHING
-from eia_sec.rollout.sim.kernel.plans.view import LATE, SHARE
-from eia_sec.rollout.sim.kernel.views.constants import PIECES, chance_table
+from eia_sec.common.farm_observation import PLAN_LOSS
+from eia_sec.rollout.sim.conditions.stress import within
+from eia_sec.rollout.sim.core.link import radio_constants, reach_of
+from eia_sec.rollout.sim.observation.constants import PIECES, chance_table
+from eia_sec.rollout.sim.observation.plans.constants import DISCOUNT, HEARD
+from eia_sec.rollout.sim.observation.plans.search import NOTHING
+from eia_sec.rollout.sim.observation.plans.view import LATE
 from eia_sec.rollout.sim.reference.axes import place_of
 from eia_sec.rollout.sim.reference.power import flight_power
+from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.reference.stress import growth_of_areas, living
-from eia_sec.rollout.sim.stress import within
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -51,7 +47,7 @@ class Planner:
         u: the UAV, a monitor or a collector.
     """
 
-    def __init__(self, farm: ReferenceFarm, u: int) -> None:
+    def __init__(self, farm: FarmState, u: int) -> None:
         self._farm, self._monitors = farm, farm.kind[u] == 1
         world, reward, lattice = farm.config.world, farm.config.reward, lattice_of(farm.config.world)
         self.counts = lattice.columns, lattice.rows
@@ -162,13 +158,13 @@ def _table(config: FarmConfig) -> tuple[Array, float, float]:
     return *chance_table(radio, config.world.height_collection), reach_of(radio, config.world.height_collection, HEARD)
 
 
-def _owner(farm: ReferenceFarm, u: int, site: Array) -> int:
+def _owner(farm: FarmState, u: int, site: Array) -> int:
     """Return the UAV of a UAV's type that is nearest to a site."""
     mates = farm.living(farm.kind[u])
     return int(mates[int(((site - farm.position[mates]) ** 2).sum(axis=1).argmin())])
 
 
-def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def worths(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return what the best plan that begins with each of nine moves is worth, in units, [9].
 
     Monitors who sweep along routes plan in the last steps only; before, their plans are worth nothing. None begins with
@@ -205,20 +201,20 @@ def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     return np.array(best)
 
 
-def plans(farm: ReferenceFarm, u: int) -> bool:
+def plans(farm: FarmState, u: int) -> bool:
     """Return whether a UAV sees plans now."""
     seen, left = farm.config.observation, farm.config.world.steps - farm.time
     return seen.plan > 0 and not (farm.kind[u] == 1 and seen.route and left > LATE * seen.plan)
 
 
-def plan_view(farm: ReferenceFarm, u: int, worth: Array) -> Array:
+def plan_view(farm: FarmState, u: int, worth: Array) -> Array:
     """Return how near each move's best plan comes to the best of all, and the worth of that."""
     if not plans(farm, u):
         return np.zeros(10)
     most = float(farm.config.world.vdf_max if farm.kind[u] == 1 else farm.config.world.aoi_max)
     top = worth.max() / (most * farm.config.observation.plan)
     loss = np.where(np.isfinite(worth), worth.max() - np.where(np.isfinite(worth), worth, 0.0), np.inf)
-    return np.append(np.exp(-loss / (SHARE * most)), np.clip(top, -1.0, 1.0))
+    return np.append(np.exp(-loss / (PLAN_LOSS * most)), np.clip(top, -1.0, 1.0))
 
 
 Longer = tuple[float, int, Point, Plan]
@@ -254,11 +250,10 @@ def _kept(longer: list[Longer], count: int) -> list[Longer]:
     return [*listed, *(lead for lead in leads if not any(lead is found for found in unique[:count]))]
 
 
-def _start(farm: ReferenceFarm, u: int, signs: Array) -> Point:
+def _start(farm: FarmState, u: int, signs: Array) -> Point:
     """Return the lattice point of a UAV, chosen along its own axes."""
     lattice = lattice_of(farm.config.world)
     count = np.array((lattice.columns, lattice.rows))
-    share = ((place_of(farm, u) * signs).astype(np.float32) + np.float32(1)) * np.float32(0.5)
-    own = np.clip(np.floor(share * count.astype(np.float32) + np.float32(EDGE)), 0, count - 1).astype(np.int64)
+    own = lattice.cell((place_of(farm, u) * signs).astype(np.float32)).astype(np.int64)
     column, row = np.where(signs > 0.0, own, count - 1 - own).tolist()
     return column, row

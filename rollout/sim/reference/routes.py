@@ -1,25 +1,19 @@
 """The sweep route of a monitoring UAV as the reference farm observes it, written from what it means."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config.farm.polygons import refused
-from eia_sec.common.farm import ROUTE_PLOTS
+from eia_sec.common.farm_observation import ROUTE_OFFSET, ROUTE_PLOTS
 from eia_sec.rollout.sim.boxes import ROUNDING, inside
-from eia_sec.rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET, STAY
+from eia_sec.rollout.sim.observation.routes import PER_OFFSET, STAY
+from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.sweep_routes import all_routes, divided_among
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 
 
-def first_sweep(farm: ReferenceFarm) -> NDArray[np.int64]:
+def first_sweep(farm: FarmState) -> NDArray[np.int64]:
     """Return each monitoring UAV's route and the box on it that comes next, [n_m, 2]; zeros unless routes are seen."""
     monitors = farm.position[farm.kind == 1]
     if not farm.config.observation.route:
@@ -27,7 +21,7 @@ def first_sweep(farm: ReferenceFarm) -> NDArray[np.int64]:
     return divided_among(farm.config, monitors)
 
 
-def divide_again(farm: ReferenceFarm) -> None:
+def divide_again(farm: FarmState) -> None:
     """Divide the field among the monitors that are left, if one was lost in the last step."""
     monitors = farm.kind == 1
     left, lost = ~farm.gone[monitors], farm.failure[monitors] == farm.time - 1
@@ -35,7 +29,7 @@ def divide_again(farm: ReferenceFarm) -> None:
         farm.sweep[left] = divided_among(farm.config, farm.position[monitors][left])
 
 
-def advance(farm: ReferenceFarm) -> None:
+def advance(farm: FarmState) -> None:
     """Let every monitoring UAV go on to the first box of its route that is not done."""
     if farm.config.observation.route:
         for u in farm.living(1):
@@ -44,7 +38,7 @@ def advance(farm: ReferenceFarm) -> None:
             farm.sweep[monitor, 1] = _next_box(farm, all_routes(farm.config)[chosen], int(at), farm.position[u])
 
 
-def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+def route_view(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
     """Return which move follows the route, and the offsets to the next plots on it.
 
     Args:
@@ -63,12 +57,12 @@ def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array
         steps = np.where(gap <= ROUNDING, 0.0, farm.ways.steps(int(_plots(farm, route)[at]), goals))
         cost[steps > steps[np.isfinite(cost)].min()] = np.inf
     ahead = route[:, (at + np.arange(ROUTE_PLOTS)) % route.shape[1]].mean(axis=0)
-    offset = np.clip((ahead - farm.position[u]) * PER_OFFSET, -MOST_OFFSET, MOST_OFFSET) * signs
+    offset = np.clip((ahead - farm.position[u]) * PER_OFFSET, -ROUTE_OFFSET, ROUTE_OFFSET) * signs
     chosen = cost.argmin() if np.isfinite(cost).any() else STAY
     return np.concatenate([np.arange(9) == chosen, offset.reshape(-1)])
 
 
-def _next_box(farm: ReferenceFarm, route: Array, at: int, position: Array) -> int:
+def _next_box(farm: FarmState, route: Array, at: int, position: Array) -> int:
     """Return the first box from `at` on that is not done, and whose plot zones do not shut off.
 
     It is done if the UAV is in it, or if its plot is fresh while others are not.
@@ -82,7 +76,7 @@ def _next_box(farm: ReferenceFarm, route: Array, at: int, position: Array) -> in
     return int(ahead[int(done[ahead].argmin())])
 
 
-def _plots(farm: ReferenceFarm, route: Array) -> NDArray[np.int64]:
+def _plots(farm: FarmState, route: Array) -> NDArray[np.int64]:
     """Return the plots of a route's boxes, row-major."""
     size = np.array([farm.config.world.field_x, farm.config.world.field_y]) / farm.vdf.shape
     column, row = (route.mean(axis=0) // size).astype(np.int64).T

@@ -1,28 +1,22 @@
 """Stress on the reference farm: the cycles that patches and areas shorten, who knows them, and how they are seen."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config.farm.polygons import inside
-from eia_sec.rollout.sim.stress import within
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.conditions.stress import within
+from eia_sec.rollout.sim.reference.state import FarmState
 
 Array = NDArray[np.float64]
 
 
-def living(farm: ReferenceFarm) -> NDArray[np.bool_]:
+def living(farm: FarmState) -> NDArray[np.bool_]:
     """Return which patches there are now, [P]."""
     first, end = farm.patches.time.T
     return np.asarray((first <= farm.time) & (farm.time < end))
 
 
-def growth_of_areas(farm: ReferenceFarm, xy: Array) -> NDArray[np.int64]:
+def growth_of_areas(farm: FarmState, xy: Array) -> NDArray[np.int64]:
     """Return the growth of points [N, 2] without patches: the largest of the areas that each lies in, at least 1."""
     growth = np.ones(len(xy), np.int64)
     for faster, corners in farm.config.stress.areas:
@@ -30,26 +24,26 @@ def growth_of_areas(farm: ReferenceFarm, xy: Array) -> NDArray[np.int64]:
     return growth
 
 
-def plot_cycles(farm: ReferenceFarm) -> NDArray[np.int64]:
+def plot_cycles(farm: FarmState) -> NDArray[np.int64]:
     """Return the cycle of each plot's VDF in this step, [n_px, n_py] steps."""
     world = farm.config.world
     usual = np.full((world.plots_x, world.plots_y), round(world.vdf_cycle / world.step_seconds))
     return shortened(farm, usual, farm.plot_xy)
 
 
-def sensor_cycles(farm: ReferenceFarm) -> NDArray[np.int64]:
+def sensor_cycles(farm: FarmState) -> NDArray[np.int64]:
     """Return the cycle of each sensor's AoI in this step, [S] steps."""
     return shortened(farm, farm.layout.sensor_cycle_steps, farm.layout.sensor_xy)
 
 
-def shortened(farm: ReferenceFarm, usual: NDArray[np.int64], xy: Array) -> NDArray[np.int64]:
+def shortened(farm: FarmState, usual: NDArray[np.int64], xy: Array) -> NDArray[np.int64]:
     """Return cycles, divided by the largest growth of the areas and living patches that points [N, 2] lie in."""
     covered = within(farm.config, farm.patches.place, living(farm), xy)
     growth = np.maximum(growth_of_areas(farm, xy), np.where(covered, farm.config.stress.growth, 1))
     return np.maximum(1, usual // growth.reshape(usual.shape))
 
 
-def find(farm: ReferenceFarm) -> None:
+def find(farm: FarmState) -> None:
     """Let the team know the living patches that monitoring and data collection UAVs are over."""
     uavs = farm.position[np.concatenate([farm.living(1), farm.living(2)])]
     alive = living(farm)
@@ -58,7 +52,7 @@ def find(farm: ReferenceFarm) -> None:
         farm.known[p] |= alive[p] and over.any()
 
 
-def stress_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def stress_view(farm: FarmState, u: int, signs: Array) -> Array:
     """Return the share of plots in areas and known living patches, for 5 x 5 blocks of 4 x 4 plots around a UAV."""
     world, half, view = farm.config.world, 10, np.zeros((5, 5))
     count = np.array([world.plots_x, world.plots_y])

@@ -1,9 +1,6 @@
 """The observations o_c, o_m and o_d of the reference farm (W24)."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +9,12 @@ from eia_sec.common.farm import farm_team
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim.reference.added import added_view
 from eia_sec.rollout.sim.reference.axes import place_of, plot_of, signs_of
-
-if TYPE_CHECKING:
-    from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.reference.state import FarmState
 
 Array = NDArray[np.float64]
 
 
-def observe(farm: ReferenceFarm) -> Float32:
+def observe(farm: FarmState) -> Float32:
     """Return the row [O]: all relays, then all monitoring, then all data collection UAVs."""
     views = (_relay_view, _monitoring_view, _collection_view)
     groups = farm_team(farm.config).groups
@@ -32,7 +27,7 @@ def observe(farm: ReferenceFarm) -> Float32:
     return np.concatenate(rows).astype(np.float32)
 
 
-def _self(farm: ReferenceFarm, u: int) -> Array:
+def _self(farm: FarmState, u: int) -> Array:
     """Return a UAV's one-hot index within its type, [n_v], and the elapsed fraction of the episode, if observed."""
     seen, mates = farm.config.observation, np.flatnonzero(farm.kind == farm.kind[u])
     rank = np.equal(mates, u).astype(np.float64) if seen.identity else np.zeros(0)
@@ -40,12 +35,12 @@ def _self(farm: ReferenceFarm, u: int) -> Array:
     return np.concatenate([rank, clock])
 
 
-def _own(farm: ReferenceFarm, u: int) -> Array:
+def _own(farm: FarmState, u: int) -> Array:
     signs = signs_of(farm, u)
     return np.concatenate([place_of(farm, u) * signs, signs if farm.config.observation.mirrored else []])
 
 
-def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
+def _towards(farm: FarmState, u: int, place: Array) -> list[float]:
     """Return the offset to a place [3] divided by the field's sides, and the 3-D distance divided by its diagonal."""
     world = farm.config.world
     dx, dy, dz = place - (*farm.position[u], farm.height[u])
@@ -53,14 +48,14 @@ def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
     return [along_x * dx / world.field_x, along_y * dy / world.field_y, math.sqrt(dx**2 + dy**2 + dz**2) / diagonal]
 
 
-def _uav(farm: ReferenceFarm, u: int, other: int) -> list[float]:
+def _uav(farm: FarmState, u: int, other: int) -> list[float]:
     """Return the view of another UAV; (0, 0, 1) if there is none."""
     if other < 0:
         return [0.0, 0.0, 1.0]
     return _towards(farm, u, np.array([*farm.position[other], farm.height[other]]))
 
 
-def _relay_view(farm: ReferenceFarm, u: int) -> Array:
+def _relay_view(farm: FarmState, u: int) -> Array:
     """Return U_c, then UAV_C-c, GC_c, GC_u, UAV_f-s and UAV_N with their distances."""
     relays = [r for r in farm.living(0) if r != u]
     nearest = min(relays, key=lambda r: farm.distance(u, int(r), farm.position), default=-1)
@@ -82,7 +77,7 @@ def _relay_view(farm: ReferenceFarm, u: int) -> Array:
     return np.concatenate(parts)
 
 
-def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
+def _monitoring_view(farm: FarmState, u: int) -> Array:
     """Return U_m, the VDF window (0 outside the field), D_VDF, UAV_N with its distance, and the place in the plot."""
     seen, signs, ((x, y), offset) = farm.config.observation, signs_of(farm, u), plot_of(farm, u)
     around = np.pad(farm.vdf, seen.window // 2)[x : x + seen.window, y : y + seen.window] / farm.config.world.vdf_max
@@ -91,7 +86,7 @@ def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
     return np.concatenate([_own(farm, u), turned, farm.direction[u] * signs, nearest, place])
 
 
-def _collection_view(farm: ReferenceFarm, u: int) -> Array:
+def _collection_view(farm: FarmState, u: int) -> Array:
     """Return U_d, the n nearest sensors (AoI, clipped offset over 50 m), D_AoI, and UAV_N with its distance."""
     seen, signs = farm.config.observation, signs_of(farm, u)
     offset = farm.layout.sensor_xy - farm.position[u]

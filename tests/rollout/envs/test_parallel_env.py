@@ -17,10 +17,11 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, sta
 from eia_sec.common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, RewardConfig, WorldConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.farm_observation import observation_parts
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.envs.episodes import EpisodeStream
 from eia_sec.rollout.envs.parallel_env import env, parallel_env
-from eia_sec.rollout.envs.spaces import observation_bounds, observation_parts
+from eia_sec.rollout.envs.spaces import observation_bounds
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 
 PLAIN = preset("study").farm
@@ -281,7 +282,7 @@ def test_spaces_are_the_parts_of_an_observation():
     for config in (FarmConfig(), LOPSIDED, LONELY):
         farm = parallel_env(config)
         for group in farm.batch.team.groups:
-            assert sum(part.size for part in observation_parts(config)[group.name]) == group.observation_size
+            assert sum(part.size for part in observation_parts(config, group.name)) == group.observation_size
             space = farm.observation_space(f"{group.name}_0")
             low, high = observation_bounds(config)[group.name]
             np.testing.assert_array_equal(space.low, low)

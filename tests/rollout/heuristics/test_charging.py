@@ -11,8 +11,8 @@ from eia_sec.common.config.presets import preset
 from eia_sec.rollout.heuristics.charging import FULL, Charging
 from eia_sec.rollout.heuristics.registry import TASKS, heuristic
 from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.conditions.zones import make_zones
 from eia_sec.rollout.sim.stations import station_places
-from eia_sec.rollout.sim.zones import make_zones
 
 PRESET = preset("battery").farm
 FARM = replace(

@@ -9,8 +9,8 @@ from eia_sec.common.config.presets import preset
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.heuristics.registry import default_relays
 from eia_sec.rollout.policies import policy_of
-from eia_sec.rollout.sim.base_station import joined_relays
 from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.conditions.links import joined_relays
 from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.sim.properties.strategies import placed
 

@@ -25,8 +25,7 @@ from eia_sec.rollout.heuristics.tasks.tour import grouped_tours, plot_tours, sho
 from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.boxes import aim, inside, reach, steps_to
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.core.constants import constants
 from eia_sec.rollout.sim.sweep_routes import plot_centres, round_steps, sweep_routes
 from tests.rollout.heuristics.small_farm import SMALL
 
@@ -346,7 +345,7 @@ def test_centroid_relays_follow_those_they_serve():
 def test_total_service_is_the_simulators():
     """The relays' local search minimises the same D_c that the simulator computes, with its assignment."""
     config = FarmConfig(world=WorldConfig(communication_uavs=3, monitoring_uavs=4, collection_uavs=3))
-    relay = constants(config, cell_counts(config.world)).relay
+    relay = constants(config).relay
     farms = begin(config, StaticPolicy(), [(farm, 1) for farm in range(8)])
     heights = served_heights(state(config))
     for index in range(8):
@@ -373,7 +372,7 @@ def test_search_relays_wait_for_the_last_steps():
     for time in range(50, 60):
         relays.goals(replace(late, time=time))
     own, served = late.position[:4], late.position[4:]
-    relay = constants(config, cell_counts(config.world)).relay
+    relay = constants(config).relay
     heights, centres = served_heights(late), served_centres(own, served, late.assignment)
     found = total_service(config.world, relay, relays._places, served, heights)
     assert found < total_service(config.world, relay, centres, served, heights)

@@ -9,10 +9,10 @@ from eia_sec.common.config import FarmConfig, ObservationConfig, WindConfig, Wor
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_environment, lattice_of
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.conditions.wind import wind_series
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
-from eia_sec.rollout.sim.wind import wind_series
 from tests.rollout.sim.properties.strategies import placed
 
 BASE = FarmConfig(

@@ -9,10 +9,10 @@ from scipy.optimize import linear_sum_assignment
 from eia_sec.common.config import FarmConfig, RelayConfig, WorldConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.kernel.assignment.exchanges import make_exchanges, settle
-from eia_sec.rollout.sim.kernel.assignment.hungarian import assign
-from eia_sec.rollout.sim.kernel.compiler.decorators import compiled
-from eia_sec.rollout.sim.kernel.compiler.logarithm import vectorisable_log
+from eia_sec.rollout.sim.core.assignment import Exchanges, assign, settle
+from eia_sec.rollout.sim.core.compile import compiled
+from eia_sec.rollout.sim.core.logarithm import vectorisable_log
+from eia_sec.rollout.sim.core.records import make_record
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 
@@ -54,7 +54,7 @@ def test_what_settles_is_the_only_best_assignment(relays, rows, room, ties, seed
     capacity = -(-rows // relays) + room
     cost = random.integers(0, ties, (rows, relays)).astype(np.float64) if ties else random.normal(size=(rows, relays))
     chosen = random.permutation(np.repeat(np.arange(relays), capacity))[:rows]
-    settled = settle(cost, chosen, capacity, make_exchanges(rows, relays))
+    settled = settle(cost, chosen, capacity, make_record(Exchanges, {"served": rows, "n_c": relays}))
     assert np.bincount(chosen, minlength=relays).max() <= capacity
     row, column = linear_sum_assignment(np.repeat(cost, capacity, axis=1))
     best, least = column // capacity, cost[row, column // capacity].sum()

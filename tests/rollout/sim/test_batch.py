@@ -13,9 +13,9 @@ from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import SimulationError
 from eia_sec.common.seeds import derive, stream
 from eia_sec.rollout.sim.batch import FarmBatch, start_positions
-from eia_sec.rollout.sim.kernel.compiler import decorators
-from eia_sec.rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
-from eia_sec.rollout.sim.kernel.radio import draw
+from eia_sec.rollout.sim.core import compile as decorators
+from eia_sec.rollout.sim.core.compile import allocation_free, compiled_entry, sources_digest
+from eia_sec.rollout.sim.core.radio import draw
 from eia_sec.rollout.sim.reference.farm import packet_draw
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))

@@ -8,8 +8,8 @@ import pytest
 from eia_sec.common.config import FailureConfig, FarmConfig, ObservationConfig, RelayConfig, RewardConfig, WorldConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_environment
-from eia_sec.rollout.sim.base_station import base_place, joined_relays
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.conditions.links import base_place, joined_relays
 from eia_sec.rollout.sim.layout import make_layout
 from tests.rollout.sim.properties.strategies import placed
 

@@ -6,7 +6,7 @@ import pytest
 from numba.core import ir
 from numba.core.compiler_machinery import FunctionPass, register_pass
 
-from eia_sec.rollout.sim.kernel.compiler.copies import Compiler, RemoveCopies
+from eia_sec.rollout.sim.core.copies import Compiler, RemoveCopies
 
 LEFT: list[list[str]] = []
 """The copies in each function that `Plain` or `Watching` compiled."""

@@ -9,10 +9,10 @@ from eia_sec.common.config import FailureConfig, FarmConfig, ObservationConfig, 
 from eia_sec.common.config.files import from_toml, to_toml, with_setting
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import METRIC_NAMES, farm_environment, farm_team
-from eia_sec.rollout.envs.added_parts import added_parts
+from eia_sec.common.farm_observation import observation_names
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.failures import NEVER, failure_steps
-from eia_sec.rollout.sim.kernel.relays import NO_LINK
+from eia_sec.rollout.sim.conditions.failures import NEVER, failure_steps
+from eia_sec.rollout.sim.core.relays import NO_LINK
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from eia_sec.rollout.sim.sweep_routes import all_routes
@@ -106,7 +106,7 @@ def test_only_farms_with_failures_have_the_metric_and_the_observation():
         name = group.name
         more = [n for n in switched.tensor_names[name].observation if n not in plain.tensor_names[name].observation]
         assert more == ["alive"]
-        assert added_parts(losing(SMALL, "monitoring 1 at 1"), name, 1.0)[-1].name == "alive"
+        assert "alive" in observation_names(losing(SMALL, "monitoring 1 at 1"), name)
 
 
 def test_a_plot_falls_to_the_next_monitor():

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from eia_sec.common.config import EnergyConfig, FarmConfig, RadioConfig, WorldConfig
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.flight.motion import flight_power as compiled_flight_power
-from eia_sec.rollout.sim.kernel.radio import delivery, received_power
-from eia_sec.rollout.sim.layout import cell_counts
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.core.motion import flight_power as compiled_flight_power
+from eia_sec.rollout.sim.core.radio import delivery, received_power
 from eia_sec.rollout.sim.reference.farm import free_space_loss, noise_mw, packet_loss, received_mw, vegetation_loss
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
 
@@ -16,7 +15,7 @@ PHYSICAL = EnergyConfig(model="physical")
 
 
 def numbers(config: FarmConfig):
-    return constants(config, cell_counts(config.world))
+    return constants(config)
 
 
 def kernel_plr(radio: RadioConfig, distance: float) -> float:

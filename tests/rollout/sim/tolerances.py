@@ -4,7 +4,7 @@ import numpy as np
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import farm_environment
-from eia_sec.rollout.envs.added_parts import field_rounding
+from eia_sec.common.farm_observation import field_rounding
 
 ROUGH = 1e-6
 """Float32's resolution."""

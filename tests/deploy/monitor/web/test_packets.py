@@ -12,9 +12,9 @@ from eia_sec.common.protocol.view_checks import NO_RELAY
 from eia_sec.deploy.monitor.web import packets
 from eia_sec.rollout.rendering.palette import GONE, LINK_DOWN, STRESS
 from eia_sec.rollout.sim.batch import REWARD_PARTS
+from eia_sec.rollout.sim.conditions.stress import patches
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.stations import station_places
-from eia_sec.rollout.sim.stress import patches
 from tests.common.protocol.test_view_checks import a_view, a_view_of_conditions
 from tests.deploy.monitor.web.stage import AREA, CHAINED, CONDITIONS, CONFIG
 

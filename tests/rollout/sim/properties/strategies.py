@@ -19,7 +19,8 @@ from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim import batch
 from eia_sec.rollout.sim.batch import start_positions
-from eia_sec.rollout.sim.layout import Layout, cell_counts, make_layout
+from eia_sec.rollout.sim.core.cells import cell_counts
+from eia_sec.rollout.sim.layout import Layout, make_layout
 from eia_sec.rollout.sim.reference import farm
 
 DOSE = os.environ.get("EIA_SEC_PROPERTIES", "fixed")

@@ -14,9 +14,9 @@ from eia_sec.common.farm import farm_environment, farm_team, inset_of, lattice_o
 from eia_sec.common.team import Float32
 from eia_sec.rollout.envs.spaces import row_box
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.kernel.constants import constants
-from eia_sec.rollout.sim.kernel.views.constants import image_bounds
-from eia_sec.rollout.sim.layout import cell_counts, make_layout
+from eia_sec.rollout.sim.core.constants import constants
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.observation.constants import image_bounds
 from eia_sec.rollout.sim.sweep_routes import assigned_routes, sweep_routes
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
@@ -50,7 +50,7 @@ SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
 def with_plans_that_fit(config: FarmConfig) -> FarmConfig:
     """Return the farm, without plans where so short steps have too many places for them; with zones, without routes."""
     try:
-        constants(config, cell_counts(config.world))
+        constants(config)
     except ConfigError:
         route = config.observation.route and not config.zones.some
         return replace(config, observation=replace(config.observation, plan=0, route=route))
@@ -313,7 +313,7 @@ def test_plans_refuse_steps_that_are_too_short_for_the_ranges():
     world = WorldConfig(speed_x_max=0.2, speed_y_max=0.2)
     config = FarmConfig(world=world, observation=ObservationConfig(plan=8))
     with pytest.raises(ConfigError, match=r"farm\.observation\.plan is for at most"):
-        constants(config, cell_counts(world))
+        constants(config)
 
 
 def test_missing_peers_are_zeros():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.kernel.step import step_range
+from eia_sec.rollout.sim.core.step import step_range
 from tests.rollout.sim.course import STARTING, STEPPING, begin, fly
 from tests.rollout.sim.properties.strategies import APART, Flight, dose, farm_configs, flights, switches, worlds
 

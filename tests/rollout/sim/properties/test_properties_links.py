@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eia_sec.common.config import FailureConfig, FarmConfig
-from eia_sec.rollout.sim.base_station import MIDDLES, joined_relays
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from eia_sec.rollout.sim.conditions.links import MIDDLES, joined_relays
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from eia_sec.common.config import FarmConfig, StressConfig
 from eia_sec.common.config.farm.polygons import Polygon
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.stress import known_cycles, patches
+from eia_sec.rollout.sim.conditions.stress import patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit
@@ -149,7 +149,7 @@ def test_counters_in_areas_rise_at_their_own_cycles_from_the_start():
     first, end = patches(config, 3, 1).time[0]
     cycles = np.full(farms.vdf[0].shape, 30)
     cycles[: len(cycles) // 4], cycles[:, : cycles.shape[1] // 4] = 15, 10
-    assert np.array_equal(known_cycles(farms, 0)[0], cycles.reshape(-1))
+    assert np.array_equal(farms.known_cycles(0)[0], cycles.reshape(-1))
     assert np.array_equal(farms.stressed[0], cycles < 30)
     for step in range(1, 501):
         before = farms.vdf[0].copy()
@@ -167,6 +167,6 @@ def test_sensors_in_areas_have_their_own_cycles():
     inside = layout.sensor_xy[:, 0] <= 100.0
     usual = layout.sensor_cycle_steps
     assert 0 < inside.sum() < len(inside)
-    assert np.array_equal(known_cycles(farms, 0)[1], np.where(inside, usual // 4, usual))
+    assert np.array_equal(farms.known_cycles(0)[1], np.where(inside, usual // 4, usual))
     seen = farms.observation[0, named_columns(config, "block_stress")]
     assert 0.0 < seen.mean() < 1.0

@@ -1,0 +1,1 @@
+"""The compiled simulator: its arrays and numbers, and the stages of a step."""

@@ -1,0 +1,137 @@
+"""Flight: speed, energy, the field's border and nearby UAVs."""
+
+import math
+
+import numpy as np
+
+from eia_sec.rollout.sim.conditions.wind import ground_speed
+from eia_sec.rollout.sim.conditions.zones import refused
+from eia_sec.rollout.sim.core.arrays import Farm, Scratch
+from eia_sec.rollout.sim.core.compile import allocation_free, inlined
+from eia_sec.rollout.sim.core.constants import Constants, FleetConstants, FlightConstants
+from eia_sec.rollout.sim.core.planes import height_of, kind_of
+from eia_sec.rollout.sim.core.records import Array, Float32, Indices
+
+
+@allocation_free
+def flight_power(flight: FlightConstants, speed: float) -> float:
+    """Return P_fly(|v|), W: as printed, or induced power m g v_i / eta plus body drag (W5)."""
+    if flight.physical:
+        square = speed * speed
+        induced = math.sqrt(0.5 * (math.sqrt(square * square + 4.0 * flight.induced * flight.induced) - square))
+        return flight.weight * induced / flight.efficiency + flight.drag * speed * square
+    if speed < flight.hover_speed:
+        return flight.hover
+    return flight.c1 * speed * speed + flight.c2 / speed + flight.weight * speed
+
+
+@inlined
+def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
+    """Fly one step with the commanded velocity over ground v = action * (V_x-max, V_y-max).
+
+    Reads the directions observed before the step. Updates `position`, clipped to the field (W11). Writes `energy` for
+    the commanded velocity (W6, W7), in wind for the airspeed that it takes. Writes to the scratch `previous`, `outside`
+    (ACT) and `motivated`, which is 1 where v . D > 0 (W25). A UAV that is gone does not move, and uses no energy.
+
+    Args:
+        c: constants.
+        farm: the environment.
+        s: scratch.
+        action: [2 n] commanded velocities as fractions of the top speed; clipped to [-1, 1].
+    """
+    fleet, flight, position, direction, energy = c.fleet, c.flight, farm.position, farm.direction, farm.energy
+    previous, outside, motivated = s.previous, s.outside, s.motivated
+    for u in range(len(position)):
+        if farm.gone[u]:
+            energy[u], motivated[u], outside[u] = 0.0, 0.0, 0.0
+            continue
+        vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
+        vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
+        motivated[u] = 1.0 if vx * direction[u, 0] + vy * direction[u, 1] > 0.0 else 0.0
+        air_x, air_y = vx, vy
+        if c.fleet.wind:
+            wind_x, wind_y = farm.wind[farm.time[0], 0], farm.wind[farm.time[0], 1]
+            vx, vy = ground_speed(vx, wind_x, fleet.speed_x), ground_speed(vy, wind_y, fleet.speed_y)
+            air_x, air_y = vx - wind_x, vy - wind_y
+        speed = math.sqrt(air_x * air_x + air_y * air_y)
+        energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
+        previous[u, 0], previous[u, 1] = position[u, 0], position[u, 1]
+        x = position[u, 0] + vx * fleet.seconds
+        y = position[u, 1] + vy * fleet.seconds
+        position[u, 0] = min(fleet.width, max(0.0, x))
+        position[u, 1] = min(fleet.depth, max(0.0, y))
+        outside[u] = 1.0 if position[u, 0] != x or position[u, 1] != y else 0.0
+        if c.fleet.zones:
+            x, y = previous[u, 0], previous[u, 1]
+            if refused(c.fleet.zone_first, farm.zone_side, farm.zone_box, x, y, position[u, 0], position[u, 1]):
+                position[u, 0], position[u, 1], outside[u] = x, y, 1.0
+
+
+@allocation_free
+def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
+    """Return the 3-D distance between two UAVs, m."""
+    dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
+    dz = height_of(fleet, a) - height_of(fleet, b)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inlined
+def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Find each UAV's closest UAV, UAV_N (W10).
+
+    Writes to the scratch `peer` and `apart_square` (the closest in the same plane), `neighbour` and `distance` (the
+    closest in the plane or anywhere), `crowded`, and `x` and `y` (the positions along each axis). Ties go to the lowest
+    index.
+    """
+    fleet, position, x, y, peer, apart_square = c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square
+    neighbour, distance, crowded = s.neighbour, s.distance, s.crowded
+    for u in range(len(position)):
+        x[u], y[u], peer[u], apart_square[u] = position[u, 0], position[u, 1], -1, math.inf
+    borders = 0, fleet.relays, fleet.collectors, fleet.uavs
+    for kind in range(3):
+        first, last = borders[kind], borders[kind + 1]
+        _find_peers(first, x[first:last], y[first:last], peer[first:last], apart_square[first:last])
+    for u in range(len(position)):
+        neighbour[u], distance[u] = peer[u], math.sqrt(apart_square[u])
+        crowded[u] = 1.0 if distance[u] < fleet.collision else 0.0
+        if fleet.any_plane:
+            neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
+
+
+@allocation_free
+def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Array) -> None:
+    """Find the nearest neighbours within one plane whose first UAV is given, several at once."""
+    for u in range(len(x)):
+        own_x, own_y = x[u], y[u]
+        for other in range(len(x)):
+            dx, dy = own_x - x[other], own_y - y[other]
+            square = dx * dx + dy * dy
+            less = (square < apart_square[other]) & (other != u)
+            apart_square[other] = square if less else apart_square[other]
+            peer[other] = first + u if less else peer[other]
+
+
+@allocation_free
+def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
+    """Return the closest UAV to a UAV, -1 if there is none, and its distance, m."""
+    nearest, least = -1, math.inf
+    for other in range(len(position)):
+        apart = separation(fleet, position, u, other)
+        if other != u and apart < least:
+            nearest, least = other, apart
+    return nearest, least
+
+
+@allocation_free
+def safety_risk(
+    fleet: FleetConstants, closing: bool, previous: Array, neighbour: Indices, distance: Array, u: int
+) -> float:
+    """Return SR of a UAV, m, for the pair that is closest now (W8).
+
+    The default counts max(0, d(t - t_step) - d(t)). The paper prints d(t) - d(t - t_step) for the same pair. Both are 0
+    if the pair is d_safety or more apart, or if there is no other UAV.
+    """
+    if neighbour[u] < 0 or distance[u] >= fleet.safety:
+        return 0.0
+    change: float = distance[u] - separation(fleet, previous, u, neighbour[u])
+    return max(0.0, -change) if closing else change

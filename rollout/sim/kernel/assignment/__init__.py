@@ -1,1 +1,0 @@
-"""Which relay serves which UAV: the Hungarian assignment and its repair by exchanges."""

@@ -1,1 +1,0 @@
-"""Flight: motion, energy, the border, the nearest UAVs, and UAVs that fail."""

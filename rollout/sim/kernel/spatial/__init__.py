@@ -1,1 +1,0 @@
-"""Spatial look-ups: nearest sensors and UAVs, and sums over quadrants."""

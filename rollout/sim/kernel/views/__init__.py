@@ -1,1 +1,0 @@
-"""Observations that a configuration may add, one module each; `added` puts them together in their order."""
