@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.heuristics.detours import Airspace, airspace_of
 from eia_sec.rollout.heuristics.steering import keep_apart, towards
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.boxes import Array, possible, reach
-from eia_sec.rollout.sim.detours import Airspace, airspace_of
 
 
 class Navigation:

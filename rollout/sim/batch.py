@@ -1,22 +1,17 @@
 """A batch of simulated farms, stepped by one compiled call."""
 
 import copy
-import functools
 import itertools
-import math
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.common.config import FarmConfig, WorldConfig
-from eia_sec.common.config.farm.polygons import inside_any
+from eia_sec.common.config import FarmConfig
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, SimulationError
 from eia_sec.common.farm import farm_environment
-from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.sim.conditions.failures import NEVER, failure_steps
@@ -26,15 +21,11 @@ from eia_sec.rollout.sim.conditions.zones import zone_sides
 from eia_sec.rollout.sim.core.arrays import REWARD_PARTS, make_scratch
 from eia_sec.rollout.sim.core.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from eia_sec.rollout.sim.core.workspace import PackedArguments, make_workspace
-from eia_sec.rollout.sim.layout import Layout, make_layout
+from eia_sec.rollout.sim.layout import Layout, by_rows, make_layout
+from eia_sec.rollout.sim.start import packet_key, start_levels, start_positions
 from eia_sec.rollout.sim.sweep_routes import divided_among, plot_centres
 
-__all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
-
-PLACES: Final = 32
-"""Start positions that are drawn at a time."""
-TRIES: Final = 200
-"""Random positions to try for a UAV before the least distance shrinks by a tenth."""
+__all__ = ["REWARD_PARTS", "FarmBatch"]
 
 
 class FarmBatch:
@@ -334,66 +325,3 @@ class FarmBatch:
     def _begun(self, index: int) -> None:
         if self.time[index] < 0:
             raise SimulationError(f"environment {index} has not been reset yet.")
-
-
-@functools.lru_cache(maxsize=256)
-def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sensors ordered by rows of cells, [S], and where each cell begins in that list, [cells + 1]."""
-    columns, rows = layout.cells
-    number = np.diff(layout.cell_start)
-    cell = np.arange(columns * rows).reshape(columns, rows)
-    order = np.argsort(np.repeat((cell % rows * columns + cell // rows).ravel(), number), kind="stable")
-    return order, np.concatenate(([0], np.cumsum(number.reshape(columns, rows).T)))
-
-
-def packet_key(farm_seed: int, episode_seed: int) -> int:
-    """Return the episode's 63-bit packet key. With step and sensor it decides whether a packet arrives."""
-    return derive(farm_seed, episode_seed, "packets")
-
-
-def start_positions(
-    world: WorldConfig, farm_seed: int, episode_seed: int, zones: tuple[NDArray[np.float64], ...] = ()
-) -> NDArray[np.float64]:
-    """Return the start positions of the UAVs, [n, 2] m: uniform, and at least d_safety apart within a plane.
-
-    Places in no-fly zones, [C, 2] m each, are drawn again.
-    If a plane is too crowded for that, the distance shrinks by a tenth until a position is found.
-    """
-    places: list[tuple[float, float]] = []
-    drawn = _places_in_the_open(stream(farm_seed, episode_seed, "start"), world, zones)
-    for count in (world.communication_uavs, world.monitoring_uavs, world.collection_uavs):
-        plane: list[tuple[float, float]] = []
-        apart, tries = world.safety_distance, 0
-        while len(plane) < count:
-            x, y = next(drawn)
-            if all(math.sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= apart for a, b in plane):
-                plane.append((x, y))
-                tries = 0
-                continue
-            tries += 1
-            if tries % TRIES == 0:
-                apart *= 0.9
-        places += plane
-    return np.array(places)
-
-
-def _places_in_the_open(
-    random: np.random.Generator, world: WorldConfig, zones: tuple[NDArray[np.float64], ...]
-) -> Iterator[list[float]]:
-    """Yield places [x, y] on the field, m, none of them in a zone."""
-    while True:
-        # Whether zones hold many places costs about as much as whether they hold one.
-        places = random.random((PLACES, 2)) * (world.field_x, world.field_y)
-        yield from places[~inside_any(places, zones)].tolist()
-
-
-def start_levels(
-    world: WorldConfig, farm_seed: int, episode_seed: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return AoI [S] and VDF [n_px, n_py] at the start: all 0, or uniform over 0..max."""
-    age, level = np.zeros(world.sensors), np.zeros((world.plots_x, world.plots_y))
-    if world.start_levels == "random":
-        random = stream(farm_seed, episode_seed, "levels")
-        age += random.integers(0, world.aoi_max, world.sensors, endpoint=True)
-        level += random.integers(0, world.vdf_max, level.shape, endpoint=True)
-    return age, level

@@ -87,3 +87,13 @@ def _number(
     cell = column * cells[1] + row
     start = np.searchsorted(np.sort(cell), np.arange(cells[0] * cells[1] + 1)).astype(np.int64)
     return np.argsort(cell, kind="stable"), (cells, start)
+
+
+@functools.lru_cache(maxsize=256)
+def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sensors ordered by rows of cells, [S], and where each cell begins in that list, [cells + 1]."""
+    columns, rows = layout.cells
+    number = np.diff(layout.cell_start)
+    cell = np.arange(columns * rows).reshape(columns, rows)
+    order = np.argsort(np.repeat((cell % rows * columns + cell // rows).ravel(), number), kind="stable")
+    return order, np.concatenate(([0], np.cumsum(number.reshape(columns, rows).T)))

@@ -17,7 +17,7 @@ for locator in (caching.InTreeCacheLocator, caching.UserWideCacheLocator):
     locator.ensure_cache_path = refuse
 
 import numba
-from eia_sec.rollout.sim.kernel.compiler.decorators import compiled_entry
+from eia_sec.rollout.sim.core.compile import compiled_entry
 print(numba.config.CACHE_DIR)
 """
 

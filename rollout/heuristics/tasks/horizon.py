@@ -13,13 +13,13 @@ import numpy as np
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import lattice_of
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.detours import Airspace, airspace_of
 from eia_sec.rollout.heuristics.tasks import lawnmower
 from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
 from eia_sec.rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
 from eia_sec.rollout.sim.boxes import reach
 from eia_sec.rollout.sim.core.constants import constants
 from eia_sec.rollout.sim.core.motion import flight_power
-from eia_sec.rollout.sim.detours import Airspace, airspace_of
 from eia_sec.rollout.sim.sweep_routes import plot_centres
 
 LAST: Final = 60

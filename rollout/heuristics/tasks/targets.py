@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from eia_sec.rollout.heuristics.composite import MONITORS, FarmState
+from eia_sec.rollout.heuristics.detours import airspace_of
 from eia_sec.rollout.heuristics.tasks.sites import sensor_stops
 from eia_sec.rollout.sim.boxes import Array
-from eia_sec.rollout.sim.detours import airspace_of
 from eia_sec.rollout.sim.sweep_routes import plot_boxes
 
 

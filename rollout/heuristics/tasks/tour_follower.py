@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from eia_sec.rollout.heuristics.composite import FarmState
+from eia_sec.rollout.heuristics.detours import airspace_of
 from eia_sec.rollout.sim.boxes import Array, aim, inside, steps_to
-from eia_sec.rollout.sim.detours import airspace_of
 from eia_sec.rollout.sim.sweep_routes import assigned_routes
 
 PATIENCE: Final = 3

@@ -26,7 +26,7 @@ class Farm(NamedTuple):
     sensors, n_px by n_py plots. `axis_sizes` has the others; what a configuration does not need has size 0.
     """
 
-    key: Annotated[NDArray[np.uint64], "1", "packet key of the episode, see `batch.packet_key`"]
+    key: Annotated[NDArray[np.uint64], "1", "packet key of the episode, see `start.packet_key`"]
     time: Annotated[Indices, "1", "steps done; -1 before the first reset"]
     position: Annotated[Array, "n 2", "m"]
     direction: Annotated[Array, "n 2", "current D_VDF and D_AoI"]

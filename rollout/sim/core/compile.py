@@ -14,6 +14,7 @@ the new.
 
 import functools
 import hashlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
@@ -78,6 +79,6 @@ def sources_digest() -> str:
     """Return a digest of all sources of the simulator, and of those of common whose constants or code it compiles."""
     simulator, digest = Path(__file__).parents[1], hashlib.sha256()
     sources = sorted(path for path in simulator.rglob("*.py") if path.parent.name != "reference")
-    for path in (*sources, *(Path(module.__file__) for module in (farm_observation, lattice))):
+    for path in (*sources, *(Path(inspect.getfile(module)) for module in (farm_observation, lattice))):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -97,4 +97,7 @@ def _kinds(section: Any) -> dict[str, Any]:
 
 @functools.cache
 def _tuple_of(section: Any) -> Any:
-    return namedtuple(section.__name__, tuple(_kinds(section)))
+    """Return the tuple of a section's numbers; a name of this module, so that code on disk is found by its type."""
+    name, make = section.__name__, cast(Any, namedtuple)
+    globals()[name] = made = make(name, tuple(_kinds(section)), module=__name__)
+    return made

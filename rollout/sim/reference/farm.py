@@ -13,7 +13,6 @@ from scipy.special import erfc
 
 from eia_sec.common.config import FarmConfig, RadioConfig, RewardConfig
 from eia_sec.common.team import Float32
-from eia_sec.rollout.sim.batch import packet_key, start_levels, start_positions
 from eia_sec.rollout.sim.conditions.failures import failure_steps
 from eia_sec.rollout.sim.conditions.stress import patches
 from eia_sec.rollout.sim.conditions.wind import wind_series
@@ -28,6 +27,7 @@ from eia_sec.rollout.sim.reference.state import Array, FarmState
 from eia_sec.rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from eia_sec.rollout.sim.reference.views import observe
 from eia_sec.rollout.sim.reference.ways import ways_of
+from eia_sec.rollout.sim.start import packet_key, start_levels, start_positions
 
 NEGLIGIBLE = 1e-12
 """A packet with a smaller probability of arrival is not sent, and a smaller utility counts as none (ours)."""

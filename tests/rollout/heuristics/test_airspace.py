@@ -8,12 +8,12 @@ import pytest
 from eia_sec.common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
 from eia_sec.common.config.farm import polygons
 from eia_sec.common.config.presets import preset
+from eia_sec.rollout.heuristics.detours import MARGIN, Airspace
 from eia_sec.rollout.heuristics.registry import TASKS
 from eia_sec.rollout.heuristics.steering import towards
 from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.boxes import possible
-from eia_sec.rollout.sim.detours import MARGIN, Airspace
 
 BOUNDARY = REWARD_PARTS.index("boundary")
 SEEN = preset("eia-sec").farm.observation

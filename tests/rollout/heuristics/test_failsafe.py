@@ -13,8 +13,9 @@ from eia_sec.rollout.heuristics.advised import AdvisedFarms
 from eia_sec.rollout.heuristics.charging import FULL
 from eia_sec.rollout.heuristics.failsafe import FailsafeFarms
 from eia_sec.rollout.heuristics.farms import make_farms
-from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels, start_positions
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.start import start_levels, start_positions
 from eia_sec.rollout.sim.stations import station_places
 from tests.rollout.sim.properties.strategies import placed
 

@@ -12,11 +12,12 @@ from eia_sec.common.config import CameraConfig, FarmConfig, RadioConfig, RelayCo
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import SimulationError
 from eia_sec.common.seeds import derive, stream
-from eia_sec.rollout.sim.batch import FarmBatch, start_positions
+from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.core import compile as decorators
 from eia_sec.rollout.sim.core.compile import allocation_free, compiled_entry, sources_digest
 from eia_sec.rollout.sim.core.radio import draw
 from eia_sec.rollout.sim.reference.farm import packet_draw
+from eia_sec.rollout.sim.start import start_positions
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
 PLANNING = replace(SHORT, observation=replace(SHORT.observation, plan=6))

@@ -1,5 +1,7 @@
 """Records that compiled code takes, and what recompiles it."""
 
+import subprocess
+import sys
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -10,6 +12,18 @@ from eia_sec.common.config.farm import BatteryConfig, StressConfig
 from eia_sec.rollout.sim.core import lattice
 from eia_sec.rollout.sim.core.compile import allocation_free, sources_digest
 from eia_sec.rollout.sim.core.records import Array, Int32, make_record, numbers, row_maker
+
+SCRIPT = """
+from eia_sec.common.config.farm import StressConfig
+from eia_sec.rollout.sim.core.compile import compiled_entry
+from eia_sec.rollout.sim.core.records import numbers
+
+@compiled_entry
+def radius(stress):
+    return stress.radius
+
+print(radius(numbers(StressConfig(radius=60.0))), sum(radius.stats.cache_hits.values()))
+"""
 
 
 class Example(NamedTuple):
@@ -47,6 +61,15 @@ def test_numbers_of_a_section_have_their_declared_types():
     assert stress.some is True
     assert battery.capacity == 5.0
     assert not hasattr(stress, "areas")
+
+
+def test_code_that_takes_a_section_s_numbers_is_found_on_disk(tmp_path):
+    """A second process does not compile anew what takes the numbers of a section."""
+    script = tmp_path / "radius.py"
+    script.write_text(SCRIPT)
+    command = [sys.executable, str(script)]
+    found = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2)]
+    assert found == ["60.0 0\n", "60.0 1\n"]
 
 
 def test_the_lattice_s_formula_is_the_same_compiled():

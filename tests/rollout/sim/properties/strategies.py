@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim import batch
-from eia_sec.rollout.sim.batch import start_positions
 from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.layout import Layout, make_layout
 from eia_sec.rollout.sim.reference import farm
+from eia_sec.rollout.sim.start import start_positions
 
 DOSE = os.environ.get("EIA_SEC_PROPERTIES", "fixed")
 """fixed: the same few examples every time; plain: these, and failures are not made small; many: random ones."""

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from eia_sec.common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
 from eia_sec.common.config.farm.polygons import inside_any
 from eia_sec.common.farm import farm_environment
-from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
+from eia_sec.rollout.sim.start import start_positions
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_added import moves, with_plans_that_fit
 from tests.rollout.sim.properties.test_properties_battery import batteries

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from eia_sec.common.config import FailureConfig, FarmConfig
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
-from eia_sec.rollout.sim.conditions.links import MIDDLES, joined_relays
+from eia_sec.rollout.sim.conditions.links import joined_relays
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
+from eia_sec.rollout.sim.stations import MIDDLES
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit

@@ -17,8 +17,9 @@ from eia_sec.common.actions.adapters import SIGNS
 from eia_sec.common.config import FarmConfig, ObservationConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.farm import farm_team
-from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import Layout
+from eia_sec.rollout.sim.start import start_levels
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, placed, renumbered, worlds
 
 MOTIVATION = REWARD_PARTS.index("motivation")
