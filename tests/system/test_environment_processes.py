@@ -123,7 +123,7 @@ def test_an_evaluation_that_is_ended_closes_its_environments(begun: Begun) -> No
             "--env",
             SIMULATED,
             "--set",
-            'env.arguments={"pause": 0.1}',
+            "env.arguments='{\"pause\": 0.1}'",
             "--policy",
             "random",
             "--farms",
