@@ -1,1 +1,1 @@
-"""The learner: per-agent actors and critics, the shared ensemble critic, replay and checkpoints."""
+"""The learner: experience in, updates, parameters out. `registry` lists the algorithms."""

@@ -25,8 +25,8 @@ from eia_sec.common.errors import SchemaError
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
+from eia_sec.learner.checkpoint.tensor_snapshot import Frozen, whole
 from eia_sec.learner.checkpoint.trainer_state import counter, episode_record, episode_summaries
-from eia_sec.learner.data.tensor_snapshot import Frozen, whole
 from eia_sec.learner.networks.device import usable_device
 
 COUNTERS: Final = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")

@@ -2,7 +2,7 @@
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.team import TeamSpec
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from eia_sec.learner.trainer import Trainer
 

@@ -34,8 +34,8 @@ from torch import Tensor
 
 from eia_sec.common.errors import CheckpointError
 from eia_sec.common.protocol import bfloat16
-from eia_sec.learner.data.array_tensors import as_array
-from eia_sec.learner.data.tensor_snapshot import Frozen
+from eia_sec.learner.checkpoint.array_tensors import as_array
+from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 
 FORMAT: Final = 1
 MAX_MANIFEST: Final = 64 * 2**20

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from eia_sec.common.log import log
 from eia_sec.learner.checkpoint import files
-from eia_sec.learner.data.tensor_snapshot import Frozen
+from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 
 REST_SECONDS = 0.002
 """Pause after each piece of 1 MiB. A low priority would not help: training waits for locks that the thread holds."""

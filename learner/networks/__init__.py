@@ -1,1 +1,1 @@
-"""Many small perceptrons, computed as a few batched products or by compiled kernels, and their optimiser."""
+"""Networks and optimisers of both families."""

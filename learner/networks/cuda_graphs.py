@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from eia_sec.learner.algorithms.base import Algorithm, Batch, Diagnostics
+from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
 
 Result = TypeVar("Result")
 WARM_UPS = 3

@@ -11,7 +11,7 @@ from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.errors import CheckpointError, SchemaError
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows
-from eia_sec.learner.data.array_tensors import as_array, as_tensor
+from eia_sec.learner.checkpoint.array_tensors import as_array, as_tensor
 from eia_sec.learner.networks.side_by_side import SideBySide
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")

@@ -17,9 +17,9 @@ from torch import Tensor
 from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.team import Float32, TeamSpec, slices
 from eia_sec.common.transitions import TRANSITION, Rows
+from eia_sec.learner.networks.sequences import SequenceLayout, Sequences, TypeSequences, Unroll
 from eia_sec.learner.on_policy.experience import split
 from eia_sec.learner.on_policy.policies import Policies
-from eia_sec.learner.on_policy.sequences import SequenceLayout, Sequences, TypeSequences, Unroll
 from eia_sec.learner.on_policy.values import GroupValue
 
 

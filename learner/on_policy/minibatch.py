@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from eia_sec.learner.on_policy.sequences import TypeSequences
+from eia_sec.learner.networks.sequences import TypeSequences
 
 
 class Minibatch(NamedTuple):

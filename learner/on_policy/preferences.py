@@ -13,7 +13,7 @@ import torch
 from eia_sec.common.actions.adapters import Headings, NineMoves
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.team import GroupSpec
-from eia_sec.learner.on_policy.networks import Stack
+from eia_sec.learner.networks.stack import Stack
 
 REST: Final = 2.5
 """Logit of a resting option in a fresh policy."""

@@ -19,6 +19,7 @@ from eia_sec.common.errors import CheckpointError
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk
+from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 from eia_sec.learner.checkpoint.trainer_state import (
     checked_tensors,
     counter,
@@ -27,7 +28,6 @@ from eia_sec.learner.checkpoint.trainer_state import (
     require_moments,
     restored_random,
 )
-from eia_sec.learner.data.tensor_snapshot import Frozen
 from eia_sec.learner.intake.limits import DRAINED_CHUNKS
 from eia_sec.learner.on_policy.experience import Experience
 from eia_sec.learner.on_policy.updates import Updates, require_one_count

@@ -27,20 +27,19 @@ from eia_sec.common.config import LearnerConfig, OnPolicyConfig
 from eia_sec.common.errors import CheckpointError
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Rows
-from eia_sec.learner.data.array_tensors import as_tensor
+from eia_sec.learner.checkpoint.array_tensors import as_tensor
 from eia_sec.learner.networks.device import product_dtype
 from eia_sec.learner.networks.fused_adam import FusedAdam
+from eia_sec.learner.networks.sequences import TypeSequences
 from eia_sec.learner.networks.side_by_side import SideBySide
+from eia_sec.learner.networks.stack import Stack
 from eia_sec.learner.on_policy.advantages import advantages
 from eia_sec.learner.on_policy.captured_updates import CapturedUpdates
 from eia_sec.learner.on_policy.diagnostics import IterationDiagnostics
 from eia_sec.learner.on_policy.experience import Observations, split_actions, step_rows
 from eia_sec.learner.on_policy.iteration_states import IterationStates
 from eia_sec.learner.on_policy.minibatch import Minibatch
-from eia_sec.learner.on_policy.networks import Stack
-from eia_sec.learner.on_policy.policies import Policies
-from eia_sec.learner.on_policy.sequences import TypeSequences
-from eia_sec.learner.on_policy.values import make_values
+from eia_sec.learner.registry import ON_POLICY
 
 VALUE_BATCH = 4096
 """Rows whose values are computed at once."""
@@ -62,8 +61,9 @@ class Updates:
         learner: the torch device of networks and rows, and threads.
 
     Attributes:
-        policies: the actors.
-        values: the value functions, one module for each type.
+        algorithm: networks and losses.
+        policies: its actors.
+        values: its value functions, one module for each type.
         diagnostics: what the newest iteration's updates measured.
     """
 
@@ -74,8 +74,8 @@ class Updates:
         self._dtype = product_dtype(config.precision, device)
         # The last layers' narrow products have float32 results; rounding their factors makes them several times faster.
         torch.set_float32_matmul_precision("medium" if self._dtype == torch.bfloat16 else "highest")
-        self.policies = Policies(config, team, seed).to(device)
-        self.values = [value.to(device) for value in make_values(config, team, seed)]
+        self.algorithm = ON_POLICY[config.name](config, team, seed, device)
+        self.policies, self.values = self.algorithm.policies, self.algorithm.values
         self._all_networks = (("actors", self.policies), ("values", nn.ModuleList(self.values)))
         rates = config.actor_rate, config.critic_rate
         self._adam = FusedAdam(
@@ -86,8 +86,7 @@ class Updates:
         self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
-        gamma, scales = config.type_discounts(), config.type_entropy_scales()
-        self._entropy_scales = [scales.get(group.name, 1.0) for group in team.groups]
+        gamma = config.type_discounts()
         self._discount = np.concatenate(
             [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
         )
@@ -136,7 +135,7 @@ class Updates:
     def _log_probability(self, kind: int, places: Tensor, action: Tensor, sequences: TypeSequences | None) -> Tensor:
         """Return log pi(a | o) [B, n] of a type's present actors for its actions [B, n, a] in some rows."""
         acting = None if sequences is None else sequences[kind][0]
-        return self.policies.log_probability(kind, self._own(places, kind), action, acting)
+        return self.policies.evaluate(kind, self._own(places, kind), action, acting).log_probability
 
     def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, TypeSequences | None]:
         """Return the rows' numbers of some samples, and for networks with memory how these follow one another."""
@@ -215,13 +214,8 @@ class Updates:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if batch.stopped[kind]:
             return {}
-        agents = self._groups[kind][1]
-        sampled = batch.tensors["log_probability"][:, agents], batch.tensors["advantage"][:, agents]
-        actions = split_actions(self._team, batch.tensors["action"])[kind]
-        sequences = None if batch.sequences is None else batch.sequences[kind][0]
-        weight = batch.entropy_weight * self._entropy_scales[kind]
-        part = self.policies.loss(kind, batch.own(kind), actions, *sampled, weight, sequences)
-        torch.autograd.backward(part.loss)
+        part = self.algorithm.actor_loss(kind, batch)
+        part.loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         return {
             "actor_loss": part.loss.detach(),
             "entropy": part.entropy,
@@ -232,10 +226,8 @@ class Updates:
 
     def _value_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
-        returns = batch.tensors["returns"][:, self._groups[kind][1]]
-        sequences = None if batch.sequences is None else batch.sequences[kind][1]
-        loss = self.values[kind].loss(batch.team, batch.own(kind), returns, sequences)
-        torch.autograd.backward(loss)
+        loss = self.algorithm.value_loss(kind, batch)
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
     def end_epoch(self) -> None:

@@ -28,9 +28,9 @@ from eia_sec.common.config.presets import preset  # noqa: E402  (as above)
 from eia_sec.common.farm import farm_team  # noqa: E402  (as above)
 from eia_sec.common.team import TeamSpec  # noqa: E402  (as above)
 from eia_sec.deploy.reports.provenance import provenance  # noqa: E402  (as above)
-from eia_sec.learner.algorithms.base import Batch  # noqa: E402  (as above)
-from eia_sec.learner.algorithms.eia_sec import EiaSec  # noqa: E402  (as above)
-from eia_sec.learner.engine import Engine  # noqa: E402  (as above)
+from eia_sec.learner.off_policy.algorithm import Batch  # noqa: E402  (as above)
+from eia_sec.learner.off_policy.eia_sec import EiaSec  # noqa: E402  (as above)
+from eia_sec.learner.off_policy.engine import Engine  # noqa: E402  (as above)
 
 BURST = 2
 Layers = list[Tensor]

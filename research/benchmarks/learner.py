@@ -49,10 +49,10 @@ from eia_sec.common.team import TeamSpec  # noqa: E402  (as above)
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from eia_sec.deploy.exit_codes import run_command  # noqa: E402  (as above)
 from eia_sec.deploy.reports.provenance import provenance  # noqa: E402  (as above)
-from eia_sec.learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from eia_sec.learner.networks.compiled_pass import usable_cores  # noqa: E402  (as above)
-from eia_sec.learner.networks.inputs import critic_width  # noqa: E402  (as above)
-from eia_sec.learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer  # noqa: E402  (as above)
+from eia_sec.learner.off_policy.inputs import critic_width  # noqa: E402  (as above)
+from eia_sec.learner.off_policy.trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer  # noqa: E402  (as above)
+from eia_sec.learner.registry import OFF_POLICY  # noqa: E402  (as above)
 from research.benchmarks import on_policy  # noqa: E402  (as above)
 from research.benchmarks.peers.clock import BURST  # noqa: E402  (as above)
 
@@ -105,7 +105,7 @@ def operations(config: OffPolicyConfig, team: TeamSpec) -> float:
     actor runs forward twice and backward once. Only those critics count there that the actors maximise, and only the
     updates in which they step.
     """
-    h, total, algorithm = config.hidden, 0.0, ALGORITHMS[config.name]
+    h, total, algorithm = config.hidden, 0.0, OFF_POLICY[config.name]
     twins, maximised, share = algorithm.critics_each, algorithm.objective_critics, 1 / algorithm.actor_period(config)
     members = config.ensemble_members if isinstance(config, EiaSecConfig) and config.ensemble else 0
     heads = 2 if algorithm.head == "gaussian" else 1
@@ -162,7 +162,7 @@ def filled_trainer(
 
 def burst_of(config: OffPolicyConfig) -> int:
     """Return how many updates are timed together: whole cycles of an algorithm's kinds of update, at least `BURST`."""
-    cycle = ALGORITHMS[config.name].actor_period(config)
+    cycle = OFF_POLICY[config.name].actor_period(config)
     return cycle * -(-BURST // cycle)
 
 

@@ -16,7 +16,7 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.algorithms import OnPolicyConfig
 from eia_sec.deploy.local.in_process import train_in_process
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
 from eia_sec.rollout.worker.collector import Collector

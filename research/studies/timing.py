@@ -13,7 +13,7 @@ from eia_sec.common.actions.sampling import best_options
 from eia_sec.common.actors import TeamActors, actor_outputs, parameter_views
 from eia_sec.common.config import RunConfig
 from eia_sec.common.team import Float32
-from eia_sec.learner.algorithms import ALGORITHMS
+from eia_sec.learner.registry import OFF_POLICY
 from eia_sec.rollout.sim.batch import FarmBatch
 
 WARM_STEPS: Final = 50
@@ -38,7 +38,7 @@ def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
     """
     batch = FarmBatch(config.farm, 1)
     actors = TeamActors.initial(
-        batch.team, config.algorithm.hidden, config.seed, head=ALGORITHMS[config.algorithm.name].head
+        batch.team, config.algorithm.hidden, config.seed, head=OFF_POLICY[config.algorithm.name].head
     )
     separate, flat = separate_actors(actors), np.empty((1, batch.team.environment_action_size), np.float32)
     pieces: dict[str, list[float]] = {"decide": [], "separate": [], "simulate": []}

@@ -9,12 +9,12 @@ from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import frame
 from eia_sec.common.protocol.messages import ParametersMessage
 from eia_sec.learner.checkpoint import recovery
-from eia_sec.learner.control.lease import Lease
 from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.process.lease import Lease
 from tests.faults.test_messages import bad_road
 from tests.faults.tools.channel import TEAM
 from tests.learner.checkpoint import test_recovery
-from tests.learner.control import test_lease
+from tests.learner.process import test_lease
 
 
 def stale_parameters_are_refused() -> None:

@@ -15,7 +15,7 @@ from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.learner.checkpoint import files
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = replace(

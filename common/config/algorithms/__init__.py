@@ -48,7 +48,7 @@ ALGORITHM_CONFIGS: Final[dict[str, type[AlgorithmConfig]]] = {
     "mappo": MappoConfig,
     "eia-ppo": EiaPpoConfig,
 }
-"""The configuration class of every algorithm by `algorithm.name`; `learner.algorithms.ALGORITHMS` has the learners."""
+"""The configuration class of every algorithm by `algorithm.name`; `learner.registry` has the learners."""
 OPTIONAL_SECTIONS: Final = ("elite", "replay", "exploration")
 """Sections that only some algorithms read."""
 

@@ -18,8 +18,8 @@ from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.options import base_configuration, parse
 from eia_sec.learner.networks.device import usable_device
-from eia_sec.learner.options import LearnerOptions
-from eia_sec.learner.service import serve
+from eia_sec.learner.process.options import LearnerOptions
+from eia_sec.learner.process.service import serve
 from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 

@@ -15,10 +15,10 @@ from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.local.memory import keep_freed_memory
-from eia_sec.learner.data.replay import Replay
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.receiver import Receiver
+from eia_sec.learner.off_policy.replay import Replay
 from research.benchmarks.intake.chunks import CAPACITY, Window, write_result
 from research.benchmarks.intake.record import configuration
 

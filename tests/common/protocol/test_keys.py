@@ -10,7 +10,7 @@ from eia_sec.common.protocol import codec, keys, messages
 from eia_sec.common.protocol.codec import Message
 from eia_sec.common.protocol.messages import ConfigurationMessage
 from eia_sec.common.transport.bus import Server
-from eia_sec.learner.control.command_server import CommandServer
+from eia_sec.learner.process.command_server import CommandServer
 
 VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain", "vehicle": "uav-7"}
 

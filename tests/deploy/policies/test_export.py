@@ -34,7 +34,7 @@ from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.policies.export import agent_names, tensor_names
 from eia_sec.deploy.policies.onnx_actions import NODES
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 from eia_sec.rollout.sim.batch import FarmBatch
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"

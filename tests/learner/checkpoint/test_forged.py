@@ -14,7 +14,7 @@ from eia_sec.common.errors import CheckpointError, RunDirError
 from eia_sec.learner.checkpoint import files
 from eia_sec.learner.checkpoint.storage import CHECKPOINTS, SLACK_BYTES, RunStorage
 from eia_sec.learner.intake.ledger import Ledger
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM, play, recorded
 
 ODD = (None, True, -1, 2**62, 2**63, 2**70, 1e300, "7", "", [], {}, [[]], {"a": 1}, ["x"] * 3, 0.5)

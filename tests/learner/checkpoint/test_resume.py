@@ -17,14 +17,14 @@ from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from eia_sec.learner.algorithms import ALGORITHMS
 from eia_sec.learner.checkpoint import files
 from eia_sec.learner.checkpoint.storage import CHECKPOINTS, RunStorage
 from eia_sec.learner.intake.ledger import Ledger
-from eia_sec.learner.off_policy_trainer import OffPolicyTrainer
-from eia_sec.learner.reporting.phase_times import PhaseTimes
-from eia_sec.learner.service import Learner
-from tests.learner.algorithms.variants import variant
+from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
+from eia_sec.learner.process.phase_times import PhaseTimes
+from eia_sec.learner.process.service import Learner
+from eia_sec.learner.registry import OFF_POLICY
+from tests.learner.off_policy.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = replace(
@@ -119,7 +119,7 @@ def test_resume_is_bit_equal(tmp_path, cut):
 
 
 @pytest.mark.parametrize("cut", [7, 44])
-@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "eia-sec"])
+@pytest.mark.parametrize("name", [name for name in OFF_POLICY if name != "eia-sec"])
 def test_resume_is_bit_equal_for_every_algorithm(tmp_path, name, cut):
     """Likewise with both normalisations and clipped gradients, whose state is part of a checkpoint, too."""
     aids = {"observation_normalisation": True, "reward_normalisation": True, "gradient_clip": 0.5}

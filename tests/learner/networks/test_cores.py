@@ -19,9 +19,9 @@ from dataclasses import replace
 import numba
 import torch
 
-from eia_sec.learner.engine import Engine
-from tests.learner.algorithms.variants import variant
-from tests.learner.algorithms.test_engine import BASE, TEAM, batches
+from eia_sec.learner.off_policy.engine import Engine
+from tests.learner.off_policy.variants import variant
+from tests.learner.off_policy.test_engine import BASE, TEAM, batches
 
 cores = int(sys.argv[1])
 torch.set_num_threads(cores)

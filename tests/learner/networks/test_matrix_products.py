@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from eia_sec.learner.engine import Engine
 from eia_sec.learner.networks import compiled_pass, matrix_products
 from eia_sec.learner.networks.matrix_products import SMALL, WHOLE
-from tests.learner.algorithms.test_engine import BASE, TEAM, batches
-from tests.learner.algorithms.variants import variant
+from eia_sec.learner.off_policy.engine import Engine
+from tests.learner.off_policy.test_engine import BASE, TEAM, batches
+from tests.learner.off_policy.variants import variant
 
 SHAPES = [(128, 66, 64), (512, 67, 128), (128, 437, 64), (130, 33, 7), (1, 1, 1), (7, 300, 256), (3, 5, 20_000)]
 CASES = [

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from eia_sec.common.actors import layer_shapes
-from eia_sec.learner.on_policy.networks import Stack
-from eia_sec.learner.on_policy.recurrent import RecurrentStack
+from eia_sec.learner.networks.recurrent import RecurrentStack
+from eia_sec.learner.networks.stack import Stack
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.on_policy.recurrent_runs import remembered_chunk, with_memory
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured

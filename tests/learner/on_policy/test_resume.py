@@ -135,7 +135,7 @@ def test_forged_rounded_rows_are_refused():
     play(plain, STEPS[:7])
     tensors, state = plain.state()
     forged = tensors["iteration.observation"].to(torch.bfloat16)
-    with pytest.raises(CheckpointError, match="observations of rows are uint16, not float32"):
+    with pytest.raises(CheckpointError, match=r"observation is uint16.*not float32"):
         OnPolicyTrainer(configured(), TEAM).restore({**tensors, "iteration.observation": forged}, state)
 
 

@@ -6,10 +6,10 @@ import torch
 
 from eia_sec.common.config import LearnerConfig
 from eia_sec.common.transitions import TRANSITION, TRUNCATED
+from eia_sec.learner.networks.recurrent import RecurrentStack
+from eia_sec.learner.networks.sequences import SequenceLayout, Sequences
 from eia_sec.learner.on_policy.experience import split
 from eia_sec.learner.on_policy.iteration_states import IterationStates
-from eia_sec.learner.on_policy.recurrent import RecurrentStack
-from eia_sec.learner.on_policy.sequences import SequenceLayout, Sequences
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from eia_sec.learner.on_policy.updates import Updates
 from tests.learner.on_policy.recurrent_runs import ENDS, LENGTH, played, remembered_chunk, with_memory
@@ -98,7 +98,7 @@ def test_groups_of_environments_are_all_environments(monkeypatch):
     rows = remembered_chunk(trainer.actors(), 1, ENDS * 3).rows
     found = []
     for most in (4096, 2 * LENGTH):
-        monkeypatch.setattr("eia_sec.learner.on_policy.sequences.LARGEST_BATCH", most)
+        monkeypatch.setattr("eia_sec.learner.networks.sequences.LARGEST_BATCH", most)
         updates = Updates(trainer.config.on_policy, TEAM, 5, LearnerConfig())
         states = IterationStates(trainer.config.on_policy, TEAM, rows, updates.values, "cpu")
         assert len(list(states.layout.in_order())) == (1 if most == 4096 else 3)
@@ -130,11 +130,8 @@ def test_the_learner_finds_the_states_of_the_workers(name, parameters):
     ):
         agents = TEAM.agent_slices()[kind]
         known = torch.from_numpy(rows.log_probability[places][:, agents])
-        loss = updates.policies.loss(
-            kind, own, torch.from_numpy(action.copy()), known, torch.ones_like(known), 0.0, sequences[kind][0]
-        )
-        assert abs(float(loss.kl)) < 1e-6
-        assert float(loss.clipped) == 0.0
+        policy = updates.policies.evaluate(kind, own, torch.from_numpy(action.copy()), sequences[kind][0])
+        torch.testing.assert_close(policy.log_probability, known, atol=1e-5, rtol=1e-5)
 
 
 def test_values_begin_each_chunk_with_nothing():

@@ -7,9 +7,9 @@ import sys
 import torch
 
 from eia_sec.common.config import EiaSecConfig
-from eia_sec.learner.engine import Engine
+from eia_sec.learner.off_policy.engine import Engine
 from research.benchmarks.autograd import AutogradEiaSec, random_batch
-from tests.learner.algorithms.test_engine import TEAM
+from tests.learner.off_policy.test_engine import TEAM
 
 
 def test_autograd_does_the_engines_update():

@@ -15,11 +15,11 @@ from eia_sec.common.config import EiaSecConfig
 from eia_sec.common.errors import UsageError
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.exit_codes import USAGE, run_command
-from eia_sec.learner.engine import Engine
+from eia_sec.learner.off_policy.engine import Engine
 from research.benchmarks import learner
 from research.benchmarks.peers.catalogue import ROOT
-from tests.learner.algorithms.test_engine import batches
-from tests.learner.algorithms.variants import variant
+from tests.learner.off_policy.test_engine import batches
+from tests.learner.off_policy.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 6, 1)))
 SMALL = EiaSecConfig(hidden=5, batch=7)

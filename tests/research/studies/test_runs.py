@@ -198,11 +198,11 @@ def test_timed_networks_choose_as_the_actors_do(shared):
 @pytest.mark.parametrize("method", [EIA_SEC, PEERS[2]], ids=lambda method: method.name)
 def test_timed_networks_decide_what_the_actors_decide(method, bench):
     """One network after another gives the actions of the stacked actors, with either kind of last layer."""
-    from eia_sec.learner.algorithms import ALGORITHMS  # noqa: PLC0415  (only here)
+    from eia_sec.learner.registry import OFF_POLICY  # noqa: PLC0415  (only here)
 
     job = bench.timing(method, 6)[0]
     batch = FarmBatch(job.config.farm, 1)
-    head = ALGORITHMS[job.config.algorithm.name].head
+    head = OFF_POLICY[job.config.algorithm.name].head
     actors = TeamActors.initial(batch.team, 16, 0, per_type=False, head=head)
     batch.reset(0, 1, 1)
     np.testing.assert_allclose(

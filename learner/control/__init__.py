@@ -1,1 +1,0 @@
-"""The learner on the control lane: parameters out, commands and imitation events in."""

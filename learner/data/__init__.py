@@ -1,1 +1,0 @@
-"""Experience at rest: the replay buffer and what its rows need."""

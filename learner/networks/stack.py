@@ -1,0 +1,131 @@
+"""Perceptrons with two hidden ReLU layers for all agents of a type, by plain torch autograd.
+
+A *stack* is one network that all agents of a type share, or one for each. The parameters of its S networks are one
+tensor [S, P], so that an optimiser's step is a few large operations. Its layers are six views with a leading axis S, in
+the order of `eia_sec.common.actors`: W1, b1, W2, b2, W3, b3.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from eia_sec.common.actors import layer_shapes
+from eia_sec.common.gru import Memory
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32
+from eia_sec.learner.networks.sequences import Sequences, Unroll
+
+
+class Stack(nn.Module):
+    """S networks of equal shape.
+
+    Inputs of type bfloat16 are computed with in bfloat16, but for the last layer. Parameters and outputs are float32.
+
+    Args:
+        count: S.
+        inputs: numbers in an input.
+        hidden: width of the hidden layers.
+        outputs: numbers in an output.
+        gain: gain of the last layer's orthogonal initialisation; hidden layers have sqrt(2).
+        names: parts of the name of the random stream of each network's initialisation, one entry for each.
+
+    Attributes:
+        count: S.
+        flat: all parameters [S, P].
+    """
+
+    memory: ClassVar[Memory] = "none"
+
+    def __init__(
+        self, count: int, inputs: int, hidden: int, outputs: int, gain: float, names: Sequence[tuple[int | str, ...]]
+    ) -> None:
+        super().__init__()
+        self.count = count
+        self._shapes = layer_shapes(inputs, hidden, outputs, self.memory)
+        self._lengths = [math.prod(shape) for shape in self._shapes]
+        self.flat = nn.Parameter(torch.zeros(count, sum(self._lengths)))
+        for row, name in enumerate(names):
+            self.initialise(row, stream(*name), gain)
+
+    def layers_of(self, flat: Tensor) -> list[Tensor]:
+        """Return views of the layers [S, ...] in a tensor [S, P]: the parameters, their gradient or a moment."""
+        return self._shaped(torch.split(flat, self._lengths, dim=1))
+
+    def _shaped(self, parts: Sequence[Tensor]) -> list[Tensor]:
+        return [part.view(self.count, *shape) for part, shape in zip(parts, self._shapes, strict=True)]
+
+    @property
+    def layers(self) -> list[Tensor]:
+        """All layers, to be read and written without gradients."""
+        return self.layers_of(self.flat.detach())
+
+    def layers_as(self, dtype: torch.dtype) -> list[Tensor]:
+        """Return all layers for a pass: the last, W3 and b3, as float32, those before it as `dtype`."""
+        before, last = self._lengths[:-2], self._lengths[-2:]
+        # All are converted at once. A split's gradient is one concatenation, an index's would be a copy into zeros.
+        hidden, output = torch.split(self.flat, [sum(before), sum(last)], dim=1)
+        return self._shaped([*torch.split(hidden.to(dtype), before, dim=1), *torch.split(output, last, dim=1)])
+
+    def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
+        """Draw the weights of one network.
+
+        Args:
+            row: number of the network.
+            generator: where they are drawn.
+            gain: gain of the last layer.
+        """
+        for index, layer_gain in ((0, math.sqrt(2.0)), (2, math.sqrt(2.0)), (4, gain)):
+            layer = self.layers[index]
+            layer[row] = torch.from_numpy(orthogonal(tuple(layer.shape[1:]), layer_gain, generator))
+
+    def forward(self, x: Tensor, sequences: Sequences | None = None) -> Tensor:
+        """Return the outputs of each agent's network.
+
+        Args:
+            x: [B, n, inputs] where S is 1 or n.
+            sequences: how the rows follow one another, for networks with memory.
+
+        Returns:
+            [B, n, outputs].
+        """
+        if self.count == 1:
+            rows = x.reshape(-1, x.shape[2])
+            return self._one(rows).view(x.shape[0], x.shape[1], -1)
+        w1, b1, w2, b2, w3, b3 = self.layers_as(x.dtype)
+        h = torch.relu_(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
+        h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
+        return torch.baddbmm(b3[:, None], h.float(), w3).transpose(0, 1)
+
+    def _one(self, x: Tensor) -> Tensor:
+        w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.layers_as(x.dtype))
+        h = torch.relu_(torch.addmm(b1, x, w1))
+        h = torch.relu_(torch.addmm(b2, h, w2))
+        return torch.addmm(b3, h.float(), w3)
+
+    def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:
+        """Return outputs and states, which only networks with memory have (`eia_sec.learner.networks.recurrent`)."""
+        raise NotImplementedError("networks without memory have no states.")
+
+    def export(self) -> Float32:
+        """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`."""
+        return self.flat.detach().cpu().numpy().copy()
+
+    @torch.no_grad()
+    def load(self, flat: Float32) -> None:
+        """Replace the parameters by [S, P] float32."""
+        assert flat.shape == self.flat.shape  # else `copy_` would repeat the rows that there are
+        self.flat.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
+
+
+def orthogonal(shape: tuple[int, ...], gain: float, generator: np.random.Generator) -> Float32:
+    """Return a matrix whose rows or columns are orthonormal, times a gain (Saxe et al. 2014)."""
+    rows, columns = shape
+    square = generator.standard_normal((max(rows, columns), min(rows, columns)))
+    q, r = np.linalg.qr(square)
+    q *= np.sign(np.diag(r))
+    found: Float32 = (gain * (q if rows >= columns else q.T)).astype(np.float32)
+    return found

@@ -1,0 +1,1 @@
+"""Learning from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3 and MASAC."""

@@ -1,0 +1,119 @@
+"""The engine of off-policy algorithms: a batch in, one update of all agents, actors out.
+
+The engine holds what algorithms share: normalisation statistics, the noise of an update, the update count, and on an
+accelerator the captured graphs. The algorithm (`eia_sec.learner.registry`) defines what an update computes.
+"""
+
+from typing import Final
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import OffPolicyConfig
+from eia_sec.common.seeds import stream
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.learner.networks.compiled_pass import usable_cores
+from eia_sec.learner.networks.cuda_graphs import Graphs
+from eia_sec.learner.off_policy.algorithm import Batch, Diagnostics
+from eia_sec.learner.off_policy.normalisation import Normalisation
+from eia_sec.learner.registry import OFF_POLICY
+
+__all__ = ["Batch", "Diagnostics", "Engine"]
+
+NOISE: Final = "round noise"
+"""Name of the random stream that updates draw from; renaming it would change every run."""
+
+
+class Engine:
+    """All networks of a run, and their updates.
+
+    Args:
+        config: the algorithm's configuration.
+        team: the layout of the team.
+        seed: seed of the run; every initialisation follows from it.
+        device: torch device.
+        dtype: dtype of all arithmetic.
+        cores: processor cores for the compiled kernels; 0 to compute with torch. The default is torch's thread count on
+            a CPU, limited to numba's, and 0 elsewhere.
+
+    Attributes:
+        cores: processor cores that compiled kernels use; 0 if torch computes.
+        algorithm: the algorithm with its networks.
+        updates: updates done, int64 [].
+        random: the generator of the updates' noise; checkpoints include its state.
+    """
+
+    def __init__(
+        self,
+        config: OffPolicyConfig,
+        team: TeamSpec,
+        seed: int,
+        device: str = "cpu",
+        dtype: torch.dtype = torch.float32,
+        *,
+        cores: int | None = None,
+    ) -> None:
+        self.config, self.team = config, team
+        like = torch.empty(0, device=device, dtype=dtype)
+        if cores is None:
+            cores = usable_cores(torch.get_num_threads()) if like.device.type == "cpu" else 0
+        self.cores = cores
+        self.algorithm = OFF_POLICY[config.name](config, team, seed, like, cores=cores)
+        self.normalisation = Normalisation(
+            team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
+        )
+        self.updates = torch.zeros((), dtype=torch.int64)
+        self.random = stream(seed, NOISE)
+        self._noise = like.new_zeros(self.algorithm.noise_blocks, config.batch * team.action_size)
+        self._graphs = Graphs(self.algorithm) if like.device.type == "cuda" else None
+
+    @torch.inference_mode()
+    def update(self, batch: Batch, *, diagnostics: bool = False) -> Diagnostics | None:
+        """Do one update; return its diagnostics if requested, valid until the next update."""
+        if self.algorithm.noise_blocks:
+            drawn = self.random.standard_normal(self._noise.shape, np.float32)
+            self._noise.copy_(torch.from_numpy(drawn))
+        normal = self.normalisation
+        if normal.observations or normal.rewards:
+            batch = batch._replace(
+                observation=normal.observed(batch.observation),
+                next_observation=normal.observed(batch.next_observation),
+                reward=normal.rewarded(batch.reward),
+            )
+        if self.cores > 1:
+            numba.set_num_threads(usable_cores(self.cores))  # numba keeps this setting per calling thread
+        self.updates.add_(1)
+        actor_step = int(self.updates) % self.algorithm.actor_period(self.config) == 0
+        updater = self.algorithm if self._graphs is None else self._graphs
+        return updater.update(batch, self._noise, actor_step=actor_step, diagnostics=diagnostics)
+
+    def observe(self, observation: Float32, reward: Float32) -> None:
+        """Add observations [R, O] and rewards [R, agents] to the running statistics, if normalisation is on."""
+        if self.normalisation.observations or self.normalisation.rewards:
+            self.normalisation.add(observation, reward)
+
+    def load_actors(self, flat: tuple[Float32, ...]) -> None:
+        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`."""
+        self.algorithm.actors.load(self.normalisation.fold(flat, self.config.hidden, out=False))
+
+    def export_actors(self) -> tuple[Float32, ...]:
+        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`.
+
+        They take raw observations; the running statistics are folded into their first layers.
+        """
+        return self.normalisation.fold(self.algorithm.actors.export(), self.config.hidden, out=True)
+
+    def actors(self) -> TeamActors:
+        """Return a copy of all actors."""
+        return TeamActors(self.team, self.config.hidden, self.export_actors(), self.algorithm.head)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the whole state except `random`, by name; call `restored` after writing into the tensors."""
+        return {**self.algorithm.tensors(), **self.normalisation.tensors(), "updates": self.updates}
+
+    def restored(self) -> None:
+        """Update derived values after the tensors of `tensors` were overwritten."""
+        self.normalisation.refresh()

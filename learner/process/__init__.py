@@ -1,0 +1,1 @@
+"""The learner process: its loop, what it answers, publishes and reports."""

@@ -1,0 +1,76 @@
+"""Answers the commands of other processes: configuration, lead, drain."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from eia_sec.common.errors import ProtocolError
+from eia_sec.common.log import log
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
+from eia_sec.common.transport.bus import Incoming, Server
+from eia_sec.learner.process.lease import Lease
+
+SHOWN_NAME = 64
+"""Most characters of another process's name in a log line or an answer."""
+
+
+class CommandServer:
+    """Answers commands.
+
+    Args:
+        server: where they come in.
+        configuration: the answer to a process that joins the run.
+        newest_incarnation: returns the greatest known incarnation of a worker, or 0.
+
+    Attributes:
+        lease: which coordinator leads.
+        draining: whether a command asked the learner to drain.
+        malformed: requests that could not be decoded.
+    """
+
+    def __init__(
+        self, server: Server, configuration: ConfigurationMessage, newest_incarnation: Callable[[str], int]
+    ) -> None:
+        self._server, self._configuration, self._newest_incarnation = server, configuration, newest_incarnation
+        self.lease, self.draining, self.malformed = Lease(), False, 0
+        self._verbs: dict[str, Callable[[Incoming, str], None]] = {
+            "configuration": self._send_configuration,
+            "lead": self._grant_lead,
+            "drain": self._drain,
+        }
+
+    def answer(self) -> None:
+        """Answer every waiting command."""
+        for incoming in self._server.waiting():
+            try:
+                sender = CommandMessage.decode(incoming.payload).sender
+                verb = keys.parse(incoming.key).variables.get("verb", "")
+            except ProtocolError as error:
+                self.malformed += 1
+                incoming.refuse(str(error))
+                continue
+            if verb in self._verbs:
+                self._verbs[verb](incoming, sender)
+            else:
+                self.malformed += 1
+                incoming.refuse(f"the learner has no command {verb!r}.")
+
+    def _send_configuration(self, incoming: Incoming, sender: str) -> None:
+        incoming.reply(replace(self._configuration, newest_incarnation=self._newest_incarnation(sender)).encode())
+
+    def _drain(self, incoming: Incoming, sender: str) -> None:
+        log(f"draining at the request of {sender[:SHOWN_NAME]}.")
+        self.draining = True
+        incoming.reply(ReceiptMessage(True, "").encode())
+
+    def _grant_lead(self, incoming: Incoming, sender: str) -> None:
+        try:
+            claimant = Envelope.decode(incoming.attachment)
+        except ProtocolError as error:
+            self.malformed += 1
+            incoming.refuse(str(error))
+            return
+        granted = self.lease.claim(claimant.name, claimant.incarnation, time.monotonic())
+        holder = self.lease.holder[0] if self.lease.holder else ""
+        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:SHOWN_NAME]} leads.").encode())

@@ -1,1 +1,0 @@
-"""What the learner reports: metrics.jsonl, TensorBoard scalars, metric messages and alarms."""

@@ -1,0 +1,140 @@
+"""The registry of algorithms, the shared options, and what a name switches on."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eia_sec.common.config import (
+    ALGORITHM_CONFIGS,
+    EiaSecConfig,
+    EliteConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    RunConfig,
+)
+from eia_sec.common.config.algorithms import switched
+from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.deploy.commands.training.train import TrainArguments
+from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.learner.checkpoint.trainer_state import random_state, restored_random
+from eia_sec.learner.off_policy.algorithm import Algorithm
+from eia_sec.learner.off_policy.engine import Engine
+from eia_sec.learner.on_policy.ppo import Ppo
+from eia_sec.learner.registry import OFF_POLICY, ON_POLICY
+from tests.learner.off_policy.test_engine import TEAM, batches, same_state
+from tests.learner.off_policy.variants import variant
+
+ROOT = Path(__file__).resolve().parents[3]
+SMALL = EiaSecConfig(hidden=8, batch=16, actor_rate=2e-3, critic_rate=5e-3)
+
+
+def test_registry_files_names_and_documentation_agree():
+    """Every algorithm has a file and a class of its own, is configurable and documented, and there are no more."""
+    page = (ROOT / "docs" / "reference" / "algorithms.md").read_text()
+    documented = dict(re.findall(r"^\| `([a-z0-9-]+)` \| `learner/([a-z_]+/[a-z0-9_]+)\.py` \|", page, re.MULTILINE))
+    registered = {**OFF_POLICY, **ON_POLICY}
+    files = {name: "/".join(method.__module__.split(".")[-2:]) for name, method in registered.items()}
+    assert documented == files
+    assert set(ALGORITHM_CONFIGS) == set(registered)
+    for family, base, config in ((OFF_POLICY, Algorithm, OffPolicyConfig), (ON_POLICY, Ppo, OnPolicyConfig)):
+        assert all(issubclass(method, base) for method in family.values())
+        assert all(issubclass(ALGORITHM_CONFIGS[name], config) for name in family)
+    assert len(set(files.values())) == len(files)
+
+
+@pytest.mark.parametrize(
+    ("name", "sections", "joint"),
+    [
+        ("eia-sec", ("replay", "exploration", "elite"), False),
+        ("maddpg", ("replay", "exploration"), True),
+        ("matd3", ("replay", "exploration"), True),
+        ("masac", ("replay", "exploration"), True),
+    ],
+)
+def test_a_name_decides_which_parts_there_are(name, sections, joint):
+    """Only EIA-SEC has an ensemble and imitates, unless switched off; only the baselines' critics are joint."""
+    config = switched(EiaSecConfig(), name)
+    assert (config.name, config.sections, config.joint_critics) == (name, sections, joint)
+    assert config.uses_ensemble == ("elite" in sections)
+    assert not variant(config, name, ensemble=False).uses_ensemble
+    assert replace(config, critic_scope="joint").joint_critics
+    assert not replace(config, critic_scope="local").joint_critics
+    run = RunConfig(algorithm=config)
+    assert ImitationSchedule.of(run).is_due(0, 10) == ("elite" in sections)
+    assert not ImitationSchedule.of(replace(run, elite=EliteConfig(enabled=False))).is_due(0, 10)
+
+
+@pytest.mark.parametrize("words", [["--algorithm", "matd3"], ["--algorithm=matd3"], ["--algorithm.name", "matd3"]])
+def test_the_command_line_names_an_algorithm(words):
+    """The short form beside options of the section, as the long form."""
+    defaults = TrainArguments(settings=base_configuration(words))
+    config = parse(TrainArguments, [*words, "--algorithm.hidden", "32"], "train", defaults).settings
+    assert (config.algorithm.name, config.algorithm.hidden) == ("matd3", 32)
+
+
+@pytest.mark.parametrize("name", OFF_POLICY)
+def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
+    """An engine that takes another's tensors and generator does the same updates from there, bit for bit."""
+    config = variant(SMALL, name, observation_normalisation=True, reward_normalisation=True)
+    one, other = Engine(config, TEAM, 3), Engine(config, TEAM, 4)
+    draw = np.random.default_rng(0)
+    rows = draw.normal(3.0, 2.0, (50, TEAM.observation_size)).astype(np.float32)
+    one.observe(rows, draw.normal(size=(50, TEAM.agents)).astype(np.float32))
+    first, second = batches(TEAM, config, 2, torch.float32)
+    one.update(first)
+    for tensor_name, tensor in other.tensors().items():
+        tensor.copy_(one.tensors()[tensor_name])
+    other.random = restored_random(random_state(one.random))
+    other.restored()
+    one.update(second)
+    assert not same_state(one, other)
+    other.update(second)
+    assert same_state(one, other)
+
+
+def test_published_actors_carry_the_normalisation():
+    """Exported actors decide on raw observations what the engine's decide on standardised ones; loading undoes it."""
+    engine = Engine(replace(SMALL, observation_normalisation=True), TEAM, 3, cores=0)
+    draw = np.random.default_rng(0)
+    rows = draw.normal(5.0, 3.0, (200, TEAM.observation_size)).astype(np.float32)
+    before = engine.actors()
+    engine.observe(rows, np.zeros((200, TEAM.agents), np.float32))
+    own = engine.algorithm.actors.export()
+    standardised = engine.normalisation.observed(torch.from_numpy(rows)).numpy()
+    for part in TEAM.observation_slices():
+        assert abs(float(standardised[:, part].mean())) < 1e-4
+        assert 0.9 < float(standardised[:, part].std()) < 1.1
+    np.testing.assert_allclose(engine.actors().act(rows), before.act(standardised), atol=1e-5)
+    assert np.abs(before.act(rows) - before.act(standardised)).max() > 1e-3
+    engine.load_actors(engine.export_actors())
+    for mine, theirs in zip(engine.algorithm.actors.export(), own, strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-5)
+
+
+def test_normalised_rewards_have_unit_standard_deviation():
+    """Each type's rewards are divided by their own standard deviation, however they come in pieces."""
+    engine = Engine(replace(SMALL, reward_normalisation=True), TEAM, 3)
+    rewards = np.random.default_rng(0).normal(1.0, [1.0] * 2 + [10.0] * 3 + [0.1] * 4, (300, 9)).astype(np.float32)
+    for piece in np.array_split(rewards, 7):
+        engine.observe(np.zeros((piece.shape[0], TEAM.observation_size), np.float32), piece)
+    normalised = engine.normalisation.rewarded(torch.from_numpy(rewards)).numpy()
+    for part in TEAM.agent_slices():
+        assert normalised[:, part].std() == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("name", "period"), [("eia-sec", 1), ("maddpg", 1), ("matd3", 3), ("masac", 1)])
+def test_actors_step_once_a_period(name, period):
+    """The actors change in the last update of every period, and in no other."""
+    config = variant(SMALL, name, actor_delay=3)
+    assert OFF_POLICY[name].actor_period(config) == period
+    engine = Engine(config, TEAM, 0)
+    steps = []
+    for batch in batches(TEAM, config, 2 * period, torch.float32):
+        before = engine.algorithm.actors.flat.clone()
+        engine.update(batch)
+        steps.append(not torch.equal(engine.algorithm.actors.flat, before))
+    assert steps == 2 * [*[False] * (period - 1), True]

@@ -1,0 +1,220 @@
+"""The stacked engine against the per-agent oracle, switch by switch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import EiaSecConfig
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.learner.off_policy.engine import Batch, Engine
+from tests.learner.off_policy.oracle import Oracle
+
+TEAM = TeamSpec((GroupSpec("c", 2, 5, 2), GroupSpec("m", 3, 4, 2), GroupSpec("d", 4, 7, 2)))
+UNEVEN = TeamSpec((GroupSpec("c", 1, 5, 1), GroupSpec("m", 3, 5, 3), GroupSpec("d", 2, 3, 2)))
+BASE = EiaSecConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
+SWITCHES = {
+    "default": {},
+    "no ensemble": {"ensemble": False},
+    "no ensemble, printed losses": {"ensemble": False, "ensemble_loss": "mixture", "ensemble_gradient": False},
+    "mixture loss": {"ensemble_loss": "mixture"},
+    "mixture loss, no gradient": {"ensemble_loss": "mixture", "ensemble_gradient": False, "ensemble_copy_rate": 0.1},
+    "copy only": {"ensemble_gradient": False, "ensemble_copy_rate": 0.1},
+    "gradient and copy": {"ensemble_copy_rate": 0.3},
+    "full copy": {"ensemble_copy_rate": 1.0, "ensemble_members": 3},
+    "local bootstrap": {"bootstrap": "local"},
+    "target actor": {"target_actor": True},
+    "local objective": {"actor_objective": "local"},
+    "printed": {
+        "ensemble_loss": "mixture",
+        "ensemble_copy_rate": 0.1,
+        "bootstrap": "local",
+        "actor_objective": "local",
+    },
+    "clipped": {"gradient_clip": 0.05},
+    "joint": {"critic_scope": "joint"},
+    "joint, clipped": {"critic_scope": "joint", "gradient_clip": 0.05, "ensemble_loss": "mixture"},
+    "joint, no ensemble, target actor": {"critic_scope": "joint", "ensemble": False, "target_actor": True},
+    "joint, mixture loss, copy": {"critic_scope": "joint", "ensemble_loss": "mixture", "ensemble_copy_rate": 0.05},
+    "independent": {"initialisation": "independent", "ensemble_copy_rate": 0.1},
+    "one member": {"ensemble_members": 1, "mixture_epsilon": 0.4},
+    "three members": {"ensemble_members": 3, "mixture_epsilon": 0.3, "ensemble_loss": "mixture"},
+    "scaled rewards": {"reward_scale": 0.1, "discount": 0.9},
+    "all of the mixture": {"mixture_epsilon": 0.0},
+    "none of the mixture": {"mixture_epsilon": 1.0},
+}
+
+
+def batches(team, config, count, dtype=torch.float64, seed=1):
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=dtype)
+
+    for _ in range(count):
+        rows = config.batch
+        yield Batch(
+            normal(rows, team.observation_size),
+            normal(rows, team.action_size).tanh(),
+            normal(rows, team.agents),
+            normal(rows, team.observation_size),
+            (normal(rows) > 1.0).to(dtype),
+            torch.where(normal(rows) > 0.0, config.discount, config.discount**3).to(dtype),
+        )
+
+
+def critic_stacks(engine, flat):
+    method, kinds = engine.algorithm, range(len(engine.team.groups))
+    size = method.critics.networks.size
+    local = [method.critics.export(flat[:size], 0, kind) for kind in kinds]
+    if not getattr(method, "ensemble", None):
+        return local, [torch.empty(0, 0) for _ in kinds]
+    members, k_s = method.ensemble, range(engine.config.ensemble_members)
+    return local, [
+        torch.cat([members.networks.export(flat[size:], members.index(k, kind)) for k in k_s]) for kind in kinds
+    ]
+
+
+def actor_stacks(engine, flat):
+    return [engine.algorithm.actors.networks.export(flat, kind) for kind in range(len(engine.team.groups))]
+
+
+def twins(team, config, dtype=torch.float64, seed=3, cores=None):
+    engine = Engine(config, team, seed, dtype=dtype, cores=cores)
+    local, members = critic_stacks(engine, engine.algorithm.phi)
+    return engine, Oracle(config, team, actor_stacks(engine, engine.algorithm.actors.flat), local, members)
+
+
+def differences(engine, oracle):
+    """Yield the largest difference for each kind of parameter."""
+
+    def gap(stacks, networks):
+        rows = torch.cat([stack.flatten() for stack in stacks])
+        return float((rows - torch.cat([network.flat() for network in networks])).abs().max())
+
+    method = engine.algorithm
+    local, members = critic_stacks(engine, method.phi)
+    target_local, target_members = critic_stacks(engine, method.target_phi)
+    yield "actors", gap(actor_stacks(engine, method.actors.flat), oracle.actors)
+    yield "critics", gap(local, oracle.critics)
+    yield "target critics", gap(target_local, oracle.target_critics)
+    if method.actors.target is not None:
+        yield "target actors", gap(actor_stacks(engine, method.actors.target), oracle.target_actors)
+    if engine.config.uses_ensemble:
+        yield "members", gap(members, [m for group in oracle.members for m in group])
+        yield "target members", gap(target_members, [m for group in oracle.target_members for m in group])
+
+
+def same_state(a, b):
+    return all(torch.equal(tensor, b.tensors()[name]) for name, tensor in a.tensors().items())
+
+
+@pytest.mark.parametrize("team", [TEAM, UNEVEN], ids=["team", "uneven"])
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_fifty_updates_equal_the_loop_over_agents(switch, team):
+    """Fifty updates end at the parameters of the loop over agents, by torch and on one core and three."""
+    config = replace(BASE, **SWITCHES[switch])
+    engine, oracle = twins(team, config, cores=1)
+    engines = [engine, *(twins(team, config, cores=cores)[0] for cores in (0, 3))]
+    start = engine.algorithm.actors.flat.clone()
+    for batch in batches(team, config, 50):
+        for engine in engines:
+            engine.update(batch)
+        oracle.update(batch)
+    assert float((engines[0].algorithm.actors.flat - start).abs().max()) > 1e-3
+    for engine in engines:
+        for name, gap in differences(engine, oracle):
+            assert gap < 1e-9, f"{name} differ by {gap}"
+
+
+def test_float32_follows_the_loop_for_a_few_updates():
+    """In float32 the first updates agree with the loop over agents to rounding."""
+    engine, oracle = twins(TEAM, BASE, torch.float32)
+    for batch in batches(TEAM, BASE, 5, torch.float32):
+        engine.update(batch)
+        oracle.update(batch)
+    for name, gap in differences(engine, oracle):
+        assert gap < 1e-4, f"{name} differ by {gap}"
+
+
+def test_diagnostics_are_those_of_the_equations():
+    """An update reports the errors of step 3, the objective of step 6 and the targets, and changes nothing by it."""
+    config = replace(BASE, ensemble_loss="mixture", ensemble_copy_rate=0.2)
+    engine, oracle = twins(TEAM, config)
+    silent, _ = twins(TEAM, config)
+    (batch,) = batches(TEAM, config, 1)
+    observations = oracle.split(batch.observation, "observation_size")
+    actions = oracle.split(batch.action, "action_size")
+    targets = oracle._targets(batch, oracle.split(batch.next_observation, "observation_size"))
+    diagnostics = engine.update(batch, diagnostics=True)
+    silent.update(batch)
+    assert diagnostics is not None
+    assert same_state(engine, silent)
+    for i, critic in enumerate(oracle.critics):
+        x = oracle.view(i, observations, actions)
+        prediction = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
+        torch.testing.assert_close(diagnostics.target[i], targets[i])
+        torch.testing.assert_close(diagnostics.td_error[i], (prediction - targets[i]).detach())
+    oracle.update(batch)
+    decided = [a(o) for a, o in zip(twins(TEAM, config)[1].actors, observations, strict=True)]
+    for i, critic in enumerate(oracle.critics):
+        x = oracle.view(i, observations, [*actions[:i], decided[i], *actions[i + 1 :]])
+        objective = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
+        torch.testing.assert_close(diagnostics.objective[i], objective.detach())
+
+
+@pytest.mark.parametrize("cores", [0, 1])
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_diagnostics_change_nothing(switch, cores):
+    """Asking for diagnostics changes no bit of the state, by torch and by kernels."""
+    config = replace(BASE, **SWITCHES[switch])
+    silent, some, every = (Engine(config, TEAM, 3, cores=cores) for _ in range(3))
+    for number, batch in enumerate(batches(TEAM, config, 6, torch.float32)):
+        assert silent.update(batch) is None
+        assert (some.update(batch, diagnostics=number % 2 == 1) is None) == (number % 2 == 0)
+        assert every.update(batch, diagnostics=True) is not None
+    assert same_state(silent, some)
+    assert same_state(silent, every)
+
+
+def test_actors_start_as_everybody_draws_them():
+    """The engine's first actors are TeamActors.initial's, of one type alike or each its own."""
+    for alike in (True, False):
+        config = replace(BASE, initialisation="type" if alike else "independent")
+        actors = TeamActors.initial(TEAM, BASE.hidden, 5, per_type=alike)
+        exported = Engine(config, TEAM, 5).export_actors()
+        for mine, theirs in zip(exported, actors.flat, strict=True):
+            assert np.array_equal(mine, theirs)
+            assert (mine[0] == mine[1]).all() == alike
+
+
+def test_critics_start_alike_and_members_apart():
+    """Local critics of a type start as one network, SEC members as different ones, targets as copies."""
+    engine = Engine(BASE, TEAM, 5)
+    local, members = critic_stacks(engine, engine.algorithm.phi)
+    for stack, group in zip(local, members, strict=True):
+        assert (stack == stack[0]).all()
+        assert not torch.equal(group[0], group[1])
+    assert torch.equal(engine.algorithm.phi, engine.algorithm.target_phi)
+
+
+def test_parameters_survive_loading_and_exporting():
+    """Actors put in are the actors that come out."""
+    engine = Engine(BASE, UNEVEN, 5)
+    generator = np.random.default_rng(0)
+    flat = tuple(generator.normal(size=stack.shape).astype(np.float32) for stack in engine.export_actors())
+    engine.load_actors(flat)
+    for mine, theirs in zip(engine.export_actors(), flat, strict=True):
+        assert np.array_equal(mine, theirs)
+
+
+def test_same_seed_same_updates():
+    """Two engines of one seed stay bit-equal over the same batches, and one of another seed does not."""
+    engines = [Engine(BASE, TEAM, seed) for seed in (7, 7, 8)]
+    for batch in batches(TEAM, BASE, 5, torch.float32):
+        for engine in engines:
+            engine.update(batch)
+    assert same_state(engines[0], engines[1])
+    assert not same_state(engines[0], engines[2])
