@@ -10,7 +10,6 @@ from eia_sec.common.config.environment import FARM
 from eia_sec.common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm_observation import (
-    ADVICE,
     COLLECTION,
     COMMUNICATION,
     MONITORING,
@@ -18,7 +17,6 @@ from eia_sec.common.farm_observation import (
     ROUTE,
     SOON,
     TYPES,
-    advice_names,
     nine_names,
     observation_names,
 )
@@ -33,8 +31,6 @@ __all__ = [
     "LETTERS",
     "METRIC_NAMES",
     "MONITORING",
-    "advice_columns",
-    "advice_sizes",
     "farm_environment",
     "farm_of",
     "farm_team",
@@ -121,12 +117,11 @@ def _group(farm: FarmConfig, name: str, count: int) -> GroupSpec:
     if control in ("lattice", "moves"):
         adapters = (lattice_of(farm.world, inset_of(farm, name)), *adapters)
     if control == "moves":
-        marks = (nine_names(ADVICE), nine_names(ROUTE), nine_names(PLAN))
+        marks = (nine_names(ROUTE), nine_names(PLAN))
         moves = NineMoves(_suggestion(names, marks), *_task_hints(farm, names))
         return GroupSpec(name, count, len(names), 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        suggestion = _suggestion(names, (advice_names(farm, name),))
-        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], suggestion, *_relay_hints(farm, name, names))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], *_relay_hints(farm, name, names))
         return GroupSpec(name, count, len(names), 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, len(names), 2, adapters)
 
@@ -162,19 +157,3 @@ def _both(first: int, second: int) -> tuple[int, int]:
 def _place(names: Sequence[str], wanted: str) -> int:
     """Return the index of one of an observation's numbers; -1 if it has none of that name."""
     return names.index(wanted) if wanted in names else -1
-
-
-def advice_sizes(farm: FarmConfig) -> tuple[int, ...]:
-    """Return how many numbers of each type's observation say what the advised heuristic would do."""
-    return tuple(len(advice_names(farm, name)) for name in TYPES)
-
-
-def advice_columns(farm: FarmConfig) -> tuple[slice, ...]:
-    """Return where in each type's observation these numbers are."""
-    ends = [len(observation_names(farm, name)) - _self(farm, name) for name in TYPES]
-    return tuple(slice(end - size, end) for end, size in zip(ends, advice_sizes(farm), strict=True))
-
-
-def _self(farm: FarmConfig, name: str) -> int:
-    """Return the number of inputs for the agent's identity and the clock."""
-    return farm.world.counts[TYPES.index(name)] * farm.observation.identity + farm.observation.clock

@@ -11,9 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from eia_sec.common.actions.adapters import Headings
 from eia_sec.common.config import FarmConfig, WorldConfig
-from eia_sec.common.config.farm.control import Control
 
 COMMUNICATION: Final = "communication"
 MONITORING: Final = "monitoring"
@@ -46,7 +44,6 @@ ROUTE_OFFSET: Final = 2.0
 SOON, LATER = 25, 100
 """Steps before the end at which the two counts of the steps left begin to fall (ours)."""
 
-ADVICE: Final = "advice"
 PLAN: Final = "plan"
 ROUTE: Final = "route"
 
@@ -261,21 +258,6 @@ def _see_conditions(farm: FarmConfig, name: str, table: _Table) -> None:
     table.add(seen.zones, "zones", "refused", nine_names("refused"), 0, 1, refused)
     alive = "share of the own type's UAVs that have not failed"
     table.add(farm.loses_in_flight, "where UAVs can fail", "alive", ["alive"], 0, 1, alive)
-    if getattr(farm.control, name) in ("moves", "headings"):
-        nearest = "1 for the option that is nearest to what the advised heuristic would do"
-        table.add(seen.advice, "advice", "advice", advice_names(farm, name), 0, 1, nearest)
-    else:
-        velocity = "velocity of the advised heuristic over full speed"
-        table.add(seen.advice, "advice", "advice", advice_names(farm, name), -1, 1, velocity)
-
-
-def advice_names(farm: FarmConfig, name: str) -> list[str]:
-    """Return the names of what the advised heuristic would do: a mark for each option, or a velocity."""
-    if not farm.observation.advice:
-        return []
-    options = {"moves": nine_names(ADVICE), "headings": [f"{ADVICE}_option_{k}" for k in range(Headings.options)]}
-    control: Control = getattr(farm.control, name)
-    return options.get(control, [f"{ADVICE}_velocity_x", f"{ADVICE}_velocity_y"])
 
 
 def _see_place(table: _Table, label: str, name: str, farthest: float) -> None:

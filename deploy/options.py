@@ -13,7 +13,6 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.config.algorithms import switched
 from eia_sec.common.config.effect import switched_off, without_effect
 from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
@@ -52,7 +51,7 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
     farm_file = _value_of(arguments, "--farm-file")
     config = _named_configuration(arguments, default)
     if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
-        config = replace(config, algorithm=switched(config.algorithm, name))
+        config = config.with_algorithm(name)
     return with_farm_file(config, Path(farm_file)) if farm_file else config
 
 

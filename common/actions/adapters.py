@@ -258,7 +258,6 @@ class Headings:
         medium: the next speed.
         fast: the highest speed.
         reach: distance that full speed along x covers in a step, as a share of the field's width.
-        suggestion: index of the first of 25 numbers of the observation that mark the suggested option; see `NineMoves`.
         potential: index of the first of nine numbers of the observation, by which each of nine moves raises a potential
             that should be low when the episode ends; -1 if there are none. Fresh policies lower it in the last steps.
         time_left: index of the number of the observation that falls from 1 to 0 in these steps.
@@ -279,7 +278,6 @@ class Headings:
     medium: float
     fast: float
     reach: float
-    suggestion: int = -1
     potential: int = -1
     time_left: int = -1
 
@@ -290,11 +288,9 @@ class Headings:
             raise ConfigError(f"the reach of headings must be positive and finite, not {self.reach}.")
 
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index and observations hold a position, suggestion and hints."""
+        """Raise ConfigError unless the action is one index and observations hold a position and the hints."""
         if action_size != 1 or observation_size < POSITION.stop:
             raise ConfigError("headings need x and y in the observation, and are chosen by one index.")
-        if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
-            raise ConfigError("the observation is too short for the suggested heading.")
         if self.potential != -1:
             inside = 0 <= self.potential <= observation_size - NineMoves.options
             if not (inside and 0 <= self.time_left < observation_size):

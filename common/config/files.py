@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, switched
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS
 from eia_sec.common.config.effect import without_effect
 from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm.polygons import MAX_CORNERS
@@ -201,7 +201,7 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     """Return the base with a file's values; the file's algorithm decides which options exist."""
     algorithm = table.get("algorithm")
     if isinstance(algorithm, dict) and isinstance(name := algorithm.get("name"), str):
-        base = dataclasses.replace(base, algorithm=switched(base.algorithm, name))
+        base = base.with_algorithm(name)
     for section, values in table.items():
         keys = [f"{section}.{key}" for key in values] if isinstance(values, dict) else []
         if found := next(filter(None, (without_effect(base, key) for key in (*keys, section))), None):
@@ -249,7 +249,7 @@ def _unknown(key: str, prefix: str) -> str:
 def _all_keys() -> dict[str, Value]:
     """Return the keys of all algorithms."""
     base = RunConfig()
-    configs = [dataclasses.replace(base, algorithm=switched(base.algorithm, name)) for name in ALGORITHM_CONFIGS]
+    configs = [base.with_algorithm(name) for name in ALGORITHM_CONFIGS]
     return {key: value for config in configs for key, value in flatten(config).items()}
 
 

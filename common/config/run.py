@@ -1,7 +1,7 @@
 """One run: environment, algorithm, processes and budget."""
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from eia_sec.common.config.algorithms import (
@@ -10,6 +10,7 @@ from eia_sec.common.config.algorithms import (
     IppoConfig,
     OffPolicyConfig,
     OnPolicyConfig,
+    switched,
 )
 from eia_sec.common.config.algorithms.on_policy import Memory
 from eia_sec.common.config.checks import not_negative, positive, within
@@ -126,9 +127,9 @@ class RunConfig:
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
-        for section in self.unused_sections:  # equal runs compare equal
-            kind = type(getattr(self, section))
-            object.__setattr__(self, section, kind())
+        for section in self.unused_sections:
+            if getattr(self, section) != type(getattr(self, section))():
+                raise ConfigError(f"{self.algorithm.name} does not read {section}; leave that section at its defaults.")
         if isinstance(self.algorithm, OffPolicyConfig):
             self._check_replay(self.algorithm.batch)
         if self.memory != "none" and self.rollout.chunk_steps % self.on_policy.sequence_steps:
@@ -144,6 +145,16 @@ class RunConfig:
                 f"replay.capacity {self.replay.capacity} holds no batch of {batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
+
+    def with_algorithm(self, name: str) -> "RunConfig":
+        """Return the run with another algorithm, see `switched`; sections that it does not read get their defaults.
+
+        Raises:
+            ConfigError: there is no such algorithm.
+        """
+        algorithm = switched(self.algorithm, name)
+        unused = {each: type(getattr(self, each))() for each in OPTIONAL_SECTIONS if each not in algorithm.sections}
+        return replace(self, algorithm=algorithm, **unused)
 
     @property
     def unused_sections(self) -> tuple[str, ...]:

@@ -50,11 +50,12 @@ def prefer(stack: Stack, group: GroupSpec, logit: float) -> None:
         stack.layers[-1][:, adapter.resting] = REST
     if stack.memory != "none" or not isinstance(adapter, Headings | NineMoves):
         return
-    if adapter.suggestion >= 0:
+    if isinstance(adapter, Headings):
+        if adapter.potential >= 0:
+            favour_descent(stack, adapter.potential, adapter.time_left, logit)
+    elif adapter.suggestion >= 0:
         favour_suggestion(stack, adapter.suggestion, group.choices[0], logit)
-    elif isinstance(adapter, Headings) and adapter.potential >= 0:
-        favour_descent(stack, adapter.potential, adapter.time_left, logit)
-    elif isinstance(adapter, NineMoves) and adapter.worth >= 0:
+    elif adapter.worth >= 0:
         favour_worth(stack, adapter.worth, adapter.harm, logit)
 
 

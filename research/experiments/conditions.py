@@ -1,12 +1,11 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
-    python -m research.experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--longer]
-        [--seed 0] [--another SEED] [--write research/results/conditions] [--keep FOLDER]
+    python -m research.experiments.conditions [NAME ...] [--episodes 1600] [--longer] [--seed 0] [--another SEED]
+        [--write research/results/conditions] [--keep FOLDER]
 
-A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
-`--no-advice` leaves it out. `--longer` trains one for all episodes of its preset, which is `long` where the farm is
-like the default one. What stands in the results already stays as it is, unless its farm is named; with `--longer` or
-`--heuristics`, only that part is measured anew.
+`--longer` trains a second policy for all episodes of its preset, which is `long` where the farm is like the default
+one. What stands in the results already stays as it is, unless its farm is named; with `--longer` or `--heuristics`,
+only that part is measured anew.
 `--another SEED` adds a policy of another seed to those of the named farms: a longer one with `--longer`. Policies of
 other seeds go with the first one when that is trained anew.
 """
@@ -25,7 +24,6 @@ from typing import Any, Final, NamedTuple
 import torch
 
 from eia_sec.common.config import FarmConfig, RunConfig
-from eia_sec.common.config.files import from_toml
 from eia_sec.common.errors import UsageError
 from eia_sec.common.policy_file import save_policy
 from eia_sec.deploy.exit_codes import run_command
@@ -40,19 +38,9 @@ from research.experiments.reporting import farm_range, filled, write_results
 from research.studies.analysis.verdicts import shown
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-ADVISED: Final = """
-[algorithm]
-start_policy = ""
-suggestion_logits = ""
-actor_rate = 3e-4
-entropy_start = 0.003
-entropy_end = 0.0003
-value_steps = 0
-"""
-"""Settings with advice: a policy that begins as the heuristic needs small steps and little noise, and sees no plans."""
 FREE: Final = ("links 150 m", "links 100 m", "links 70 m", "links 50 m", "batteries", "wind 3 m/s", "no-fly zones")
 """Conditions that a good enough policy might not feel: nobody is lost, and the task is the default farm's."""
-POLICIES: Final = ("learned", "longer", "advised")
+POLICIES: Final = ("learned", "longer")
 """Policies of a condition as far as they were trained, in the page's order."""
 Scores = dict[str, Any]
 
@@ -63,12 +51,10 @@ class Episodes(NamedTuple):
     Attributes:
         learned: of the policy that learns from nothing.
         longer: of the one that learns for as long as its preset says, see LONGER.
-        advised: of the one that learns from a heuristic on.
     """
 
     learned: int
     longer: int
-    advised: int
 
 
 def own_reward(farm: FarmConfig) -> FarmConfig:
@@ -123,13 +109,6 @@ def best_heuristics(farm: FarmConfig, farms: range) -> list[Scores]:
     return sorted(scores, key=lambda found: -float(found["reward"][0]))
 
 
-def with_advice(config: RunConfig, heuristic: str, episodes: int) -> RunConfig:
-    """Return the run that learns from a heuristic on."""
-    run = from_toml(ADVISED, config)
-    observation = replace(run.farm.observation, advice=heuristic, plan=0)
-    return replace(run, farm=replace(run.farm, observation=observation), episodes=episodes)
-
-
 def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: range, keep: Path | None = None) -> Scores:
     """Return what was found for a condition, with what is missing measured.
 
@@ -151,17 +130,13 @@ def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: rang
     if "longer" not in found and episodes.longer > 0:
         run = replace(longer_configuration(name, seed), episodes=episodes.longer)
         found["longer"] = trained(run, farms, "longer", files["longer"])
-    if "advised" not in found and episodes.advised > 0:
-        advice = found["heuristics"][0]["policy"]
-        run = with_advice(config, advice, episodes.advised)
-        found["advised"] = trained(run, farms, f"advised by {advice}", files["advised"])
     return found
 
 
 def with_new_bar(found: Scores, measuring: str) -> Scores:
-    """Return what holds of a condition's results when the heuristics have changed: the policies that had no advice."""
-    commits = [part for part in found["commit"].split(", ") if not part.startswith(("heuristics", "advised"))]
-    alone = {policy: found[policy] for policy in POLICIES if policy in found and policy != "advised"}
+    """Return what holds of a condition's results when the heuristics have changed: the policies."""
+    commits = [part for part in found["commit"].split(", ") if not part.startswith("heuristics")]
+    alone = {policy: found[policy] for policy in POLICIES if policy in found}
     return {**alone, "commit": ", ".join([*commits, f"heuristics {measuring}"])}
 
 
@@ -243,7 +218,7 @@ def page(data: dict[str, Any]) -> str:
         rows.append("| " + " | ".join([*cells, ", ".join(commits)]) + " |")
     longer = " --longer" if any("longer" in found for found in data["results"].values()) else ""
     data = {**data, "command": data["command"] + longer}
-    numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
+    numbers = {name: data[name] for name in ("episodes", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
 
 
@@ -269,8 +244,6 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m research.experiments.conditions", description=about)
     parser.add_argument("name", nargs="*", help="conditions; by default all that the results do not hold")
     parser.add_argument("--episodes", type=int, default=1600)
-    parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice")
-    parser.add_argument("--no-advice", action="store_true", help="leave the policy with advice out")
     parser.add_argument("--longer", action="store_true", help="train one for all episodes of its preset")
     parser.add_argument("--heuristics", action="store_true", help="fly heuristics anew beside policies that are known")
     parser.add_argument("--seed", type=int, default=0)
@@ -303,7 +276,7 @@ def measured(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
         return another(name, arguments, commit)
     found = kept(arguments.write).get(name, {})
     longer = longer_configuration(name, 0).episodes if arguments.longer else 0
-    episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
+    episodes = Episodes(arguments.episodes, longer)
     if name in arguments.name:
         found = renewed(found, commit, arguments.heuristics, arguments.longer)
     found = {"commit": commit, **found}
@@ -325,10 +298,9 @@ def main() -> int:
     data: dict[str, Any] = {**provenance("research.experiments.conditions"), "farms": list(arguments.farms)}
     # The command for all farms, whichever were measured last.
     data["command"] = (
-        f"python -m research.experiments.conditions --episodes {arguments.episodes} --advised {arguments.advised} "
-        f"--seed {arguments.seed}"
+        f"python -m research.experiments.conditions --episodes {arguments.episodes} --seed {arguments.seed}"
     )
-    data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
+    data |= {"episodes": arguments.episodes, "seed": arguments.seed, "results": results}
     for name in arguments.name or CONDITIONS:
         result = measured(name, arguments, data["commit"])
         # Another call may have written other conditions meanwhile.

@@ -4,7 +4,7 @@ import ast
 import dataclasses
 import inspect
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from eia_sec.common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
@@ -21,7 +21,7 @@ refused. The ablations of EIA-SEC are presets as well, `eia-sec` with one or two
 (`ensemble = false`), `sec` (`elite.enabled = false`) and `base` (both).
 """
 SHOWN = {name: config for name, config in PRESETS.items() if name not in ABLATIONS}
-"""Presets with a column of their own."""
+"""Presets that the tables compare; the ablations are told in words."""
 
 
 def field_docs(section: type[Any]) -> dict[str, str]:
@@ -69,7 +69,7 @@ def configuration_tables() -> str:
         if rows:
             title = f"`[{name}]`" if name else "Top of the file"
             about = _about(type(section)) + _readers(name)
-            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(presets), *rows]) + "\n")
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(), *rows]) + "\n")
     return "\n".join(parts)
 
 
@@ -103,8 +103,7 @@ def _algorithm_tables() -> Iterator[str]:
         section = next((config.algorithm for config in presets.values()), None)
         rows = own if section is None else [_row("algorithm", section, field, presets) for field in fields]
         if rows:
-            head = _table_head(presets or ["default"])
-            yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*head, *rows]) + "\n"
+            yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*_table_head(), *rows]) + "\n"
 
 
 def _declaring_classes() -> list[type[Any]]:
@@ -116,28 +115,33 @@ def _declaring_classes() -> list[type[Any]]:
 def _plain_row(owner: type[Any], field: str) -> str:
     """Return the row of an option that no preset's algorithm has."""
     default = next(entry.default for entry in dataclasses.fields(owner) if entry.name == field)
-    return _cells([f"`{field}`", _type(get_type_hints(owner)[field]), _value(default), field_docs(owner)[field]])
+    kind = _type(get_type_hints(owner)[field])
+    return _cells([f"`{field}`", kind, _value(default), field_docs(owner)[field], ""])
 
 
-def _table_head(columns: Iterable[str]) -> list[str]:
-    names = ["key", "type", *columns, "meaning"]
-    return [_cells(names), _cells(["---"] * len(names))]
+def _table_head() -> list[str]:
+    return [_cells(["key", "type", "default", "meaning", "presets that differ"]), _cells(["---"] * 5)]
 
 
 def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunConfig]) -> str:
-    """Return one key's table row with its value in presets, or nothing when the field is a section of its own.
+    """Return one key's table row: its value in the first preset, its meaning, and the presets with another value.
 
-    A value that the first preset does not have is bold.
+    It is empty when the field is a section of its own.
     """
     if dataclasses.is_dataclass(getattr(section, field)):
         return ""
     key = f"{section_name}.{field}" if section_name else field
-    values = [flatten(config)[key] for config in presets.values()]
-    shown = [_value(value) if value == values[0] else f"**{_value(value)}**" for value in values]
+    values = {name: flatten(config)[key] for name, config in presets.items()}
+    first = next(iter(values.values()))
+    others: dict[str, list[str]] = {}
+    for name, value in values.items():
+        if value != first:
+            others.setdefault(f"`{_value(value)}`" if _value(value) else "empty", []).append(name)
+    differing = "; ".join(f"{value}: {', '.join(names)}" for value, names in others.items())
     kind = _type(get_type_hints(type(section))[field])
     if key == "algorithm.name":
         kind = " or ".join(f"`{name}`" for name in ALGORITHM_CONFIGS)
-    return _cells([f"`{field}`", kind, *shown, field_docs(type(section))[field]])
+    return _cells([f"`{field}`", kind, _value(first), field_docs(type(section))[field], differing])
 
 
 def _value(value: Any) -> str:

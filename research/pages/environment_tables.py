@@ -66,7 +66,7 @@ def added_table() -> str:
     farm = preset("study").farm
     switches = ("last_move", "closing", "fields", "coarse", "phases", "route", "service", "link", "stress", "charge")
     on = dict.fromkeys((*switches, "wind", "zones"), True)
-    seen = replace(farm.observation, peers=3, units=2, plan=12, advice="horizon", **on)
+    seen = replace(farm.observation, peers=3, units=2, plan=12, **on)
     chained = replace(farm.relay, require_link=True, base="south")
     more = replace(farm, observation=seen, failures=FailureConfig(per_hour=1.0), relay=chained)
     lines = [HEAD]

@@ -95,6 +95,13 @@ def _compared(name: str) -> str:
     return f"{name}, preset `study`" if name == EIA_SEC.name else name
 
 
+def _unclean(methods: dict[str, Any]) -> str:
+    """Return whose runs were made by sources that no commit holds, or nothing."""
+    counted = {name: sum(run["commit"].endswith("-dirty") for run in found["runs"]) for name, found in methods.items()}
+    named = [f"{count} of {name}" for name, count in counted.items() if count]
+    return f" No commit holds the sources of runs marked -dirty: {', '.join(named)}." if named else ""
+
+
 def _methods_rows(study: dict[str, Any]) -> list[str]:
     """Return the methods of the study `training`, tuned and trained alike, best reward first."""
     methods = sorted(study["methods"].items(), key=lambda item: -item[1]["reward"][0])
@@ -106,7 +113,7 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
         {_farms(size)}. Numbers are interquartile means with a 95 % bootstrap interval over the seeds ([how far to trust
         it](../../docs/explanation/reproduce.md#statistics)). Normalised: 0 is the random policy, 1 the best heuristic.
         Made by
-        `{study["command"]}`, commits {", ".join(commits)}."""
+        `{study["command"]}`, commits {", ".join(commits)}.{_unclean(study["methods"])}"""
     rows = [
         wrapped(conditions),
         "",

@@ -83,7 +83,7 @@ def environment_spec(config: RunConfig, *, trial: bool = False) -> EnvironmentSp
         ContractError, EnvironmentFaultError: see `eia_sec.rollout.envs.guard`.
     """
     farm = farm_of(config)
-    if farm is not None and not farm.observation.advice and not farm.battery.watched:
+    if farm is not None and not farm.battery.watched:
         # Without loading the simulator.
         return _trainable(config, _farm_spec(farm))
     with patient_with(config), closing(make_environments(config, 1)) as environments:

@@ -10,7 +10,10 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NoReturn
 
+import numpy as np
+
 from eia_sec.common.config.farm.polygons import MAX_CORNERS as POLYGON_CORNERS
+from eia_sec.common.config.farm.polygons import crosses_itself
 from eia_sec.common.config.farm.sites import MAX_SENSORS
 from eia_sec.common.config.farm.stress import MAX_AREAS, MOST_GROWTH
 from eia_sec.common.config.farm.zones import MAX_ZONES
@@ -192,6 +195,8 @@ class _Collection:
             if self.boundary:
                 self._refuse('a second Polygon without "no_fly": true or a growth; a farm has one field.')
             self.boundary = self._ring(rings, "the boundary", MAX_CORNERS)
+            if crosses_itself(np.array(self.boundary)):
+                self._refuse("the boundary crosses itself.")
 
     def _take_area(self, rings: Any, growth: Any) -> None:
         if type(growth) is not int or not 1 <= growth <= MOST_GROWTH:
@@ -206,8 +211,10 @@ class _Collection:
         return ring[:-1] if ring[-1] == ring[0] else ring
 
     def _ring(self, rings: Any, what: str, most: int) -> list[Pair]:
-        """Return the outer ring of a Polygon."""
+        """Return the outer ring of a Polygon, which must be its only one."""
         ring = rings[0] if isinstance(rings, list) and rings else None
+        if isinstance(rings, list) and len(rings) > 1:
+            self._refuse(f"{what} has a hole, and none may have any.")
         if not isinstance(ring, list) or not 4 <= len(ring) <= most:
             self._refuse(f"{what} must be a ring of 4 to {most} positions, the last of them the first.")
         return [self._position(corner) for corner in ring]

@@ -77,20 +77,17 @@ class FarmBatch:
 
     Raises:
         ConfigError: the field is too small for the link budget, or visits are to be tracked in expected delivery.
-        SimulationError: there is no environment, or no thread; or the configuration wants advice or autopilots, which
+        SimulationError: there is no environment, or no thread; or the configuration wants autopilots, which
             `eia_sec.rollout.heuristics.farms.make_farms` adds.
     """
 
-    advised: ClassVar[bool] = False
-    """Whether the class writes `farm.observation.advice`."""
     failsafe: ClassVar[bool] = False
     """Whether the class heeds `farm.battery.failsafe`."""
 
     def __init__(self, config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> None:
-        if (config.observation.advice and not self.advised) or (config.battery.watched and not self.failsafe):
+        if config.battery.watched and not self.failsafe:
             raise SimulationError(
-                "farms with farm.observation.advice or farm.battery.failsafe are made by "
-                "eia_sec.rollout.heuristics.farms.make_farms."
+                "farms with farm.battery.failsafe are made by eia_sec.rollout.heuristics.farms.make_farms."
             )
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")

@@ -25,10 +25,8 @@ def test_a_slow_simulator_has_two_workers_where_there_are_cores(monkeypatch, nam
 
 
 def test_what_else_decides_the_number_of_workers(monkeypatch, tmp_path):
-    """Advice is slow, too; third-party environments are not ours to judge, and cores may be taken already."""
+    """Third-party environments are not ours to judge, and cores may be taken already."""
     monkeypatch.setattr(train, "allowed_cores", lambda: 2)
-    advised = with_values(preset("default"), {"farm.observation.advice": "horizon"})
-    assert worker_count(TrainArguments(settings=advised)) == 2
     third = with_values(preset("long"), {"env.name": "mpe2:simple_spread_v3"})
     assert worker_count(TrainArguments(settings=third)) == 1
     threaded = with_values(preset("long"), {"rollout.threads": 2})

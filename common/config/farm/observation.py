@@ -65,9 +65,6 @@ class ObservationConfig:
     """Whether UAVs with tasks see where the patches of stress around them are that the team knows (ours)."""
     charge: bool = False
     """Whether UAVs see their charge, the way to the nearest station and what would be left there (ours)."""
-    advice: str = ""
-    """Heuristic whose next move each UAV sees, TASK or TASK+RELAYS as `--policy` takes it; empty for none. Fresh actors
-    of moves and headings begin with following it (ours)."""
 
     @property
     def added(self) -> bool:
@@ -83,7 +80,6 @@ class ObservationConfig:
             self.link,
             self.stress,
             self.charge,
-            bool(self.advice),
             self.wind,
             self.zones,
         )

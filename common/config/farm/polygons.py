@@ -54,6 +54,19 @@ def _crosses_itself(corners: Polygon) -> bool:
     return False
 
 
+def crosses_itself(ring: Array) -> bool:
+    """Return whether two sides of a closed ring [n, 2], whose last position is the first, cross inside both.
+
+    A surveyed ring may repeat positions and touch itself.
+    """
+    start, end = ring[:-1], ring[1:]
+    for a, b, rest in zip(start, end, range(1, len(start) + 1), strict=True):
+        c, d = start[rest:], end[rest:]
+        if bool(((turn(a, b, c) * turn(a, b, d) < 0.0) & (turn(c, d, a) * turn(c, d, b) < 0.0)).any()):
+            return True
+    return False
+
+
 def inside(points: Array, zone: Array) -> Flags:
     """Return whether points [..., 2] lie in a zone, by the number of sides that a ray to the right crosses."""
     x, y = points[..., 0, None], points[..., 1, None]

@@ -55,7 +55,7 @@ class TrainArguments:
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensor positions; they become part of the run's configuration."""
     workers: int | None = None
-    """Number of rollout workers. Default: one, or two where UAVs see plans or advice and there are cores for them (and,
+    """Number of rollout workers. Default: one, or two where UAVs see plans and there are cores for them (and,
     with --tls, a certificate)."""
     run_dir: Path | None = None
     """Run directory. Default: runs/PRESET-TIME."""
@@ -153,8 +153,7 @@ def worker_count(options: TrainArguments) -> int:
         ConfigError: when it is not 1 to 1,024, or not 1 in lockstep.
     """
     if options.workers is None:
-        seen = options.settings.farm.observation
-        slow = not options.settings.env.is_third_party and (seen.plan > 0 or seen.advice != "")
+        slow = not options.settings.env.is_third_party and options.settings.farm.observation.plan > 0
         certified = options.tls is None or (options.tls / "rollout.1").is_dir()
         cores = allowed_cores() // options.settings.rollout.threads
         return 2 if slow and certified and cores > 1 and not options.lockstep else 1

@@ -103,13 +103,13 @@ def _put_events(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
 
 @inlined
 def _put_last(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, count: int, at: int) -> int:
-    """Write what every type sees last: charge, wind and zones, who is alive, and room for advice; return the end."""
+    """Write what every type sees last: charge, wind and zones, and who is alive; return the end."""
     view, seen = c.added, farm.observation
     if c.seen.charge or c.seen.wind or c.seen.zones:
         at = _put_events(c, farm, s, u, at)
     if view.alive:
         at = put_alive(farm.living[kind], count, seen, at)
-    return see_nothing(view.advice[kind], seen, at)
+    return at
 
 
 @inlined

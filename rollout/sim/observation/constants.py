@@ -7,7 +7,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
+from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
 from eia_sec.common.farm_observation import field_range
 from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.core.link import RadioConstants, chance_at, reach_of
@@ -32,10 +32,6 @@ class ViewConstants(NamedTuple):
 
     some: Annotated[bool, "whether anything is added"]
     alive: Annotated[bool, "whether they see how many of their type have not failed"]
-    advice: Annotated[
-        Indices,
-        "[3] numbers of each type that say what a heuristic would do; the simulator leaves them 0",
-    ]
     link_range: Annotated[float, "range of the UAV-UAV link, m"]
     served: Annotated[int, "UAVs that a relay sees of those that it serves"]
     columns: Annotated[int, "lattice points along x"]
@@ -90,7 +86,6 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
     return ViewConstants(
         some=seen.added or config.loses_in_flight,
         alive=config.loses_in_flight,
-        advice=np.array(advice_sizes(config), np.int64),
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),
         columns=lattice.columns,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eia_sec.common.actions.adapters import MirroredAxes, NineMoves
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
+from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
 from eia_sec.common.farm_observation import FIELD_SCALE, MOST_UNITS, field_range
 from eia_sec.rollout.sim.core.link import radio_constants
 from eia_sec.rollout.sim.observation.constants import PIECES, RATIO, chance_table
@@ -64,7 +64,6 @@ def added_view(farm: FarmState, u: int, signs: Array) -> Array:
         parts += [airspace_view(farm, u, signs, places(farm, u) if kind else relay_places(farm, u, signs))]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.loses_in_flight else []
-    parts += [np.zeros(advice_sizes(farm.config)[kind])]
     return np.concatenate(parts)
 
 

@@ -209,3 +209,14 @@ def test_every_option_is_part_of_the_digest(key):
     """Runs that differ in one option, even of a part that is off, have different digests."""
     config = preset("default")
     assert digest(with_values(config, {key: 17.5})) != digest(config) == digest(from_toml(to_toml(config), config))
+
+
+def test_a_run_keeps_the_sections_that_it_is_given():
+    """A section that the algorithm does not read is refused, not overwritten; switching gives it its defaults."""
+    study = preset("study")
+    with pytest.raises(ConfigError, match=r"^ippo does not read replay; leave that section at its defaults\.$"):
+        RunConfig(replay=study.replay)
+    found = study.with_algorithm("ippo")
+    assert (found.algorithm.name, found.replay, found.farm) == ("ippo", RunConfig().replay, study.farm)
+    assert found.with_algorithm("masac").replay == RunConfig().replay
+    assert study.with_algorithm("masac").replay == study.replay

@@ -265,3 +265,9 @@ def test_digest_depends_on_every_key(key, name):
     assert digest(changed) != digest(base)
     found = [line.split(":")[0] for line in differences(base, changed)]
     assert found == [key] or (key == found[0] == "algorithm.name")
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
+    """Editors on Windows write one at the start of a file."""
+    (tmp_path / "run.toml").write_bytes(b"\xef\xbb\xbfepisodes = 7\n")
+    assert from_toml(tmp_path / "run.toml", RunConfig()).episodes == 7

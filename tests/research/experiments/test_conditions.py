@@ -27,7 +27,6 @@ from research.experiments.conditions import (
     own_reward,
     page,
     policy_file,
-    with_advice,
 )
 
 TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
@@ -50,15 +49,13 @@ def test_heuristics_charge_by_themselves(monkeypatch):
 
 
 def test_every_condition_is_a_run():
-    """Each can be configured and begun, with advice always afresh; the range of links is what its name says."""
+    """Each can be configured and begun; the range of links is what its name says."""
     for name in CONDITIONS:
         config, longer = configuration(name, 7, 3), longer_configuration(name, 3)
         assert (config.episodes, config.seed, longer.seed) == (7, 3, 3)
         for run in (config, longer):
             found = start_parameters(run, farm_team(run.farm))
             assert any(flat is not None for flat in found) == bool(run.on_policy.start_policy)
-        advised = with_advice(config, "horizon", 7)
-        assert start_parameters(advised, farm_team(advised.farm)) == ()
         if name.startswith("links"):
             assert config.farm.relay.require_link
             assert f"links {config.farm.relay.link_range:.0f} m" in name
@@ -82,28 +79,27 @@ def tiny(monkeypatch):
 
 def test_a_condition_is_trained_and_compared(tiny, tmp_path):
     """Both sides have rewards, and the page says who won."""
-    found = compare("tiny", {"commit": "d"}, Episodes(4, 8, 4), 0, range(1000, 1002), tmp_path / "policies")
-    assert found["learned"]["steps"] == found["advised"]["steps"] == 160
+    found = compare("tiny", {"commit": "d"}, Episodes(4, 8), 0, range(1000, 1002), tmp_path / "policies")
+    assert found["learned"]["steps"] == 160
     assert found["longer"]["steps"] == 320
     longer = load_policy(tmp_path / "policies" / "tiny-longer.safetensors")
     assert longer[1]["episodes"] == "8"
     own = train_in_process(configuration("tiny", 8, 0)).actors()
     for kept_flat, flat in zip(longer[0].flat, own.flat, strict=True):
         np.testing.assert_allclose(kept_flat, flat, rtol=2e-3, atol=1e-4)
-    assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
-    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
+    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "seed": 0}
     text = page({**origin, "results": {"tiny": found}})
-    for policy in ("learned", "longer", "advised"):
+    for policy in ("learned", "longer"):
         assert f"| {found[policy]['reward'][0] / found['heuristics'][0]['reward'][0]:.3f} |" in text
-    alone = {name: scores for name, scores in found.items() if name != "advised"}
+    alone = {name: scores for name, scores in found.items() if name != "longer"}
     assert "| - | - |" in page({**origin, "results": {"tiny": found, "other": alone}})
-    assert "| advised |" not in page({**origin, "results": {"tiny": alone}})
+    assert "| longer |" not in page({**origin, "results": {"tiny": alone}})
 
 
-def test_new_heuristics_replace_the_old_ones_and_who_had_their_advice():
+def test_new_heuristics_replace_the_old_ones():
     """What the page says was measured where goes with them."""
-    found = {"commit": "a, advised b, heuristics c, longer d", "learned": {}, "advised": {}, "heuristics": []}
+    found = {"commit": "a, heuristics c, longer d", "learned": {}, "heuristics": []}
     assert conditions.with_new_bar(found, "e") == {"learned": {}, "commit": "a, longer d, heuristics e"}
 
 
@@ -113,28 +109,24 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     score = {"policy": "greedy", "reward": [1.0, 1.0, 1.0], "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0}
 
     def once(config, farms, name, keep):
-        measured.append(f"{config.env.name if 'advised' in name else name} {config.farm.relay.require_link}")
+        measured.append(f"{name} {config.farm.relay.require_link}")
         return {**score, "seconds": 1.0, "steps": 1}
 
     monkeypatch.setattr(conditions, "trained", once)
     monkeypatch.setattr(conditions, "best_heuristics", lambda farm, farms: [score])
-    for words in (["--no-advice"], [], [], ["tiny"]):
+    for words in ([], [], ["tiny"]):
         monkeypatch.setattr(sys, "argv", ["conditions", *words, "--write", str(tmp_path)])
         main()
-    alone, advised = ["learned True", "learned False"], ["farm True", "farm False"]
-    assert measured == [*alone, *advised, "learned True", "farm True"]
-    monkeypatch.setattr(
-        sys, "argv", ["conditions", "--heuristics", "--no-advice", *conditions.CONDITIONS, "--write", str(tmp_path)]
-    )
+    assert measured == ["learned True", "learned False", "learned True"]
+    monkeypatch.setattr(sys, "argv", ["conditions", "--heuristics", *conditions.CONDITIONS, "--write", str(tmp_path)])
     main()
-    assert len(measured) == 6
+    assert len(measured) == 3
     for found in kept(tmp_path).values():
-        assert "advised" not in found
         assert found["commit"].count("heuristics") == 1
-    monkeypatch.setattr(sys, "argv", ["conditions", "--longer", "--no-advice", "tiny", "--write", str(tmp_path)])
+    monkeypatch.setattr(sys, "argv", ["conditions", "--longer", "tiny", "--write", str(tmp_path)])
     main()
     main()
-    assert measured[6:] == ["longer True", "longer True"]
+    assert measured[3:] == ["longer True", "longer True"]
     parts = kept(tmp_path)["tiny"]["commit"].split(", ")
     assert [part.partition(" ")[0] for part in parts[1:]] == ["heuristics", "longer"]
     assert "longer" not in kept(tmp_path)["other"]
@@ -159,7 +151,7 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(conditions, "best_heuristics", lambda farm, farms: [{**score, "reward": [100.0] * 3}])
 
     def call(*words):
-        monkeypatch.setattr(sys, "argv", ["conditions", *words, "--no-advice", "--write", str(tmp_path)])
+        monkeypatch.setattr(sys, "argv", ["conditions", *words, "--write", str(tmp_path)])
         return main()
 
     with pytest.raises(UsageError, match="hold no policy 'learned' of 'tiny'"):

@@ -32,7 +32,7 @@ def results(tmp_path, monkeypatch):
     monkeypatch.setitem(CONDITIONS, "tiny", ("default", "[farm.world]\nsteps = 20"))
     longer = {**scores("longer", 2.0), "others": [{**scores("longer", 3.0), "seed": 1, "commit": "old"}]}
     tiny = {"commit": "old, longer old", "heuristics": [scores("greedy", 4.0)], "longer": longer}
-    data = {"command": "made", "commit": "old", "farms": [1000, 1001], "episodes": 1, "advised": 0, "seed": 0}
+    data = {"command": "made", "commit": "old", "farms": [1000, 1001], "episodes": 1, "seed": 0}
     (tmp_path / "results.json").write_text(json.dumps({**data, "results": {"tiny": tiny}}), encoding="utf-8")
     return tmp_path
 

@@ -176,6 +176,16 @@ BAD_CSV = [
 
 POINT = feature(11.0, 48.0)
 SQUARE = [(11.0, 48.0), (11.001, 48.0), (11.001, 48.001), (11.0, 48.0)]
+BOW_TIE = [(11.0, 48.0), (11.001, 48.001), (11.001, 48.0), (11.0, 48.001), (11.0, 48.0)]
+
+
+def with_hole(**properties):
+    """Return a polygon with two rings."""
+    polygon = feature(*SQUARE, kind="Polygon", **properties)
+    polygon["geometry"]["coordinates"].append([[11.0005, 48.0001], [11.0006, 48.0001], [11.0006, 48.0002]])
+    return polygon
+
+
 BAD_GEOJSON = [
     ("", "{}, line 1: not JSON: { is missing."),
     ("[1, 2]", "{}, line 1: not JSON: { is missing."),
@@ -224,6 +234,12 @@ BAD_GEOJSON = [
     (
         collection(POINT, feature(*SQUARE, kind="Polygon"), feature(*SQUARE, kind="Polygon")),
         '{}, line 4, feature 3: a second Polygon without "no_fly": true or a growth; a farm has one field.',
+    ),
+    (collection(POINT, feature(*BOW_TIE, kind="Polygon")), "{}, line 3, feature 2: the boundary crosses itself."),
+    (collection(POINT, with_hole()), "{}, line 3, feature 2: the boundary has a hole, and none may have any."),
+    (
+        collection(POINT, with_hole(no_fly=True)),
+        "{}, line 3, feature 2: a no-fly zone has a hole, and none may have any.",
     ),
     (collection(POINT, feature(*SQUARE[:3], kind="Polygon")), "the boundary must be a ring of 4 to 10000 positions"),
     (

@@ -9,7 +9,6 @@ import pytest
 from eia_sec.common.config import BatteryConfig, FailureConfig, WindConfig, ZoneConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, SimulationError
-from eia_sec.rollout.heuristics.advised import AdvisedFarms
 from eia_sec.rollout.heuristics.charging import FULL
 from eia_sec.rollout.heuristics.failsafe import FailsafeFarms
 from eia_sec.rollout.heuristics.farms import make_farms
@@ -194,16 +193,6 @@ def test_environments_are_independent():
         alone.step(action[1:])
         np.testing.assert_array_equal(both.position[1], alone.position[0])
     assert (both.charge[1] > 0.0).all()
-
-
-def test_advised_farms_have_autopilots_too():
-    """Advice does not switch them off."""
-    config = replace(WATCHED, observation=replace(WATCHED.observation, advice="lawnmower"))
-    farms = begun(config, 1)
-    assert isinstance(farms, AdvisedFarms)
-    while not farms.ended.any():
-        farms.step(np.zeros((1, 24), np.float32))
-    assert not farms.gone.any()
 
 
 def test_who_makes_which_farms():

@@ -86,7 +86,7 @@ def without_added(seen: ObservationConfig) -> ObservationConfig:
     """Return observations without the added ones: a UAV between two lattice points belongs to the one further on."""
     usual = preset("eia-sec").farm.observation
     names = ("peers", "last_move", "closing", "units", "plan", "fields", "coarse", "phases", "route", "service", "link")
-    names += ("stress", "charge", "wind", "zones", "advice")
+    names += ("stress", "charge", "wind", "zones")
     return replace(seen, **{name: getattr(usual, name) for name in names})
 
 
