@@ -137,20 +137,12 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
     return {
         "radio": {
             "sensor_power_dbm": st.sampled_from([-60.0, -10.0, 0.0, 10.0, 30.0, 90.0]),
-            "vegetation_distance_exponent": st.sampled_from([0.3, 0.3, 0.0, -0.2]),
-            "packet_bytes": st.sampled_from([1, 20, 500]),
         },
         "camera": {
             "image_distance": st.sampled_from([4.1237, 19.1357, 25.3712, 40.7172, 120.0, 1000.0]),
             "grid_x": st.integers(1, 6),
             "grid_y": st.integers(1, 6),
             "plot_threshold": st.sampled_from([0.0, 0.3, 0.75, 1.0]),
-        },
-        "energy": {
-            "hover_speed": st.sampled_from([0.1, 3.0]),
-            "mass": st.sampled_from([0.05, 0.2, 2.0]),
-            "efficiency": st.sampled_from([0.5, 0.8, 1.0]),
-            "propellers": st.sampled_from([3, 4, 6]),
         },
         "relay": {
             "capacity": st.one_of(st.just(0), st.integers(least, least + 4)),
