@@ -17,15 +17,12 @@ from eia_sec.deploy.reports.plots import (
     comparison_figure,
     curves,
     curves_figure,
-    smooth,
-    trajectories,
     trajectories_figure,
 )
 from eia_sec.rollout.evaluation import Evaluation, Score, Trajectory
 from eia_sec.rollout.sim.stations import station_places
 
 COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
-TYPES = ("communication", "monitoring", "collection")
 
 
 def metrics(count=40):
@@ -79,30 +76,6 @@ def width_of(path):
     return matplotlib.image.imread(path).shape[1]
 
 
-def test_curves_show_every_type_levels_and_imitation():
-    """The upper axes hold a raw and a smooth line per type and mean, the labelled levels and the imitation ticks."""
-    figure = curves_figure(metrics(), {"lawnmower": 95.0, "greedy": 94.0}, EPISODE_METRICS)
-    upper, lower = figure.axes
-    assert {"all agents", "communication", "monitoring", "data collection", "imitation"} == labels(upper)
-    assert {"AoI", "VDF"} == labels(lower)
-    assert texts(upper) == ["greedy 94", "lawnmower 95"]
-    raw = [line for line in upper.lines if line.get_color() == COLOURS["monitoring"] and line.get_alpha() == 0.2]
-    np.testing.assert_array_equal(raw[0].get_xdata(), 8.0 * np.arange(40))
-    np.testing.assert_array_equal(raw[0].get_ydata(), 10.0 * np.arange(40))
-    ticks = [line for line in upper.lines if line.get_label() == "imitation"]
-    np.testing.assert_array_equal(ticks[0].get_xdata(), [10, 20])
-    assert {line.get_ydata()[0] for line in upper.lines if line.get_color() == "0.4"} == {94.0, 95.0}
-
-
-def test_names_of_close_levels_do_not_overlap():
-    """Levels of nearly equal height have their names moved apart, in the order of the levels."""
-    upper = curves_figure(metrics(), {"a": 100.0, "b": 100.5, "c": 101.0}, EPISODE_METRICS).axes[0]
-    low, high = upper.get_ylim()
-    heights = [text.get_position()[1] for text in upper.texts]
-    assert texts(upper) == ["a 100", "b 100", "c 101"]
-    assert min(np.diff(heights)) > 0.03 * (high - low)
-
-
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_curves_of_a_run_that_hardly_began(count, tmp_path):
     """No, one or two records still make a picture, and a single record is a visible dot."""
@@ -112,15 +85,6 @@ def test_curves_of_a_run_that_hardly_began(count, tmp_path):
         line for line in curves_figure(metrics(count), {}, EPISODE_METRICS).axes[1].lines if line.get_marker() == "o"
     ]
     assert bool(dots) == (count == 1)
-
-
-def test_smoothing_keeps_a_line_and_shrinks_noise():
-    """The moving mean leaves the inside of a straight line alone and lowers the spread of noise."""
-    line = np.arange(200.0)
-    np.testing.assert_allclose(smooth(line)[10:-10], line[10:-10])
-    noise = np.random.default_rng(0).normal(size=2000)
-    assert smooth(noise).std() < 0.2 * noise.std()
-    assert len(smooth(noise)) == 2000
 
 
 def test_map_shows_plots_sensors_paths_and_links(trajectory):
@@ -136,14 +100,6 @@ def test_map_shows_plots_sensors_paths_and_links(trajectory):
     links = [line.get_xydata() for line in axes.lines if line.get_linestyle() == ":"]
     np.testing.assert_array_equal(links, [trajectory.position[-1, [0, served]] for served in (1, 2, 3)])
     assert "100 m" in texts(axes)
-
-
-def test_map_names_everything_it_shows(trajectory):
-    """Legend and colour scales name each type, the ends, the links, each kind of sensor and both levels."""
-    _, key, *bars = trajectories_figure(trajectory).axes
-    assert len(labels(key)) == 8
-    assert {"monitoring UAV, end", "start of a UAV", "relay link, end", "sensor, every 50 s"} < labels(key)
-    assert [bar.get_xlabel() for bar in bars] == ["AoI of a sensor, end", "VDF of a plot, end"]
 
 
 def test_map_shows_stations_areas_and_zones(trajectory):
@@ -165,14 +121,6 @@ def test_map_shows_stations_areas_and_zones(trajectory):
     assert wanted < labels(key)
     (legend,) = comparison_figure({"a": with_all, "b": with_all}).legends
     assert wanted < {text.get_text() for text in legend.get_texts()}
-
-
-def test_map_file_is_large_enough_to_read(trajectory, tmp_path):
-    """The saved map is at least 1000 pixels wide and not blank."""
-    trajectories(trajectory, tmp_path / "map.png")
-    image = matplotlib.image.imread(tmp_path / "map.png")
-    assert image.shape[1] >= 1000
-    assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
 
 
 def test_table_keeps_numbers_whole_beside_a_long_path():
@@ -210,14 +158,6 @@ def test_table_lists_policies_by_reward():
         assert cell in text
 
 
-def test_markdown_table_has_one_line_a_policy():
-    """The Markdown has a head, an alignment line, and one line with all columns for each policy."""
-    lines = comparison_markdown([evaluation("a", 1.0), evaluation("b", 2.0)]).splitlines()
-    assert lines[0] == "| " + " | ".join(COLUMNS) + " |"
-    assert [line.split(" | ")[0] for line in lines[2:]] == ["| b", "| a"]
-    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
-
-
 def test_other_environments_have_their_own_columns():
     """Types by their names, small rewards with decimals, and the length of episodes where there are no farm metrics."""
     runners = TeamSpec((GroupSpec("runner", 1, 2, 2), GroupSpec("chaser", 1, 2, 2)))
@@ -227,15 +167,3 @@ def test_other_environments_have_their_own_columns():
     )
     assert text.splitlines()[0] == "| policy | reward | runner | chaser | steps |"
     assert text.splitlines()[2] == "| random | -1.23 | -1.00 | -2.50 | 25 |"
-
-
-def test_curves_of_other_environments_show_their_types_and_lengths():
-    """Whatever types the records name are drawn, and the lower part shows the length of episodes."""
-    records = [
-        {"kind": "episodes", "episodes": k, "reward": {"mean": 1.0 * k, "runner": k, "chaser": 2 * k}, "steps": 25}
-        for k in range(1, 10)
-    ]
-    upper, lower = curves_figure(records, {"random": -3.25}).axes
-    assert [text.get_text() for text in upper.get_legend().get_texts()] == ["runner", "chaser", "all agents"]
-    assert lower.get_ylabel() == "steps of an episode"
-    assert "random -3.2" in [text.get_text() for text in upper.texts]
