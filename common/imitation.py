@@ -11,6 +11,8 @@ from eia_sec.common.config import EliteConfig, RunConfig
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.team import TeamSpec
 
+LEASE_SECONDS: Final = 3.0
+"""Time after the leading coordinator's last claim from which the learner lets another one lead."""
 MOST_STEPS: Final = 2**48
 """Most environment steps of an evaluation."""
 

@@ -8,6 +8,7 @@ metadata are strings. Loading compares the header with the team and the file's s
 import hashlib
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -104,8 +105,12 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
 def _read(path: Path) -> bytes:
     """Return the file's bytes; raise PolicyError when there are more than any policy has."""
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
+        # Opening a pipe waits for a writer, unless told otherwise.
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+            known = os.fstat(file.fileno())
+            if not stat.S_ISREG(known.st_mode):
+                raise PolicyError(f"the policy file {path} is not a regular file.")
+            size = known.st_size
             if size > MAX_FILE_BYTES:
                 raise PolicyError(f"{path} holds {size:,} bytes, but a policy has at most {MAX_FILE_BYTES:,}.")
             return file.read(size)

@@ -6,13 +6,14 @@ import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Final, NoReturn
 
 from eia_sec.common.errors import TerminatedError, UsageError
 from eia_sec.common.log import FORMAT, FORMATS
-from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.exit_codes import INTERRUPTED, run_command
 from eia_sec.deploy.local.memory import keep_freed_memory
 from eia_sec.deploy.local.threads import thread_environment
 
@@ -122,7 +123,37 @@ def dispatch(arguments: list[str]) -> int:
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
     keep_freed_memory()
-    return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
+    return int(_load(command.module).command(arguments[1:]) or 0)
+
+
+def _quit(number: int, frame: FrameType | None) -> NoReturn:
+    """End at once: nothing has been started yet, and an exception would be raised in the middle of an import."""
+    with suppress(OSError):
+        os.write(2, b"eia-sec: interrupted.\n")
+    os._exit(INTERRUPTED)
+
+
+def _load(module: str) -> ModuleType:
+    """Import a command's module, which takes seconds; Ctrl-C meanwhile ends the process without a traceback."""
+    try:
+        before = signal.signal(signal.SIGINT, _quit)
+    except ValueError:  # only the main thread may
+        return importlib.import_module(module)
+    try:
+        return importlib.import_module(module)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _open_standard_streams() -> None:
+    """Open those that the caller has closed on /dev/null: the next file opened would take their place."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
@@ -131,6 +162,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 def main() -> None:
     """Entry point of the console script."""
+    _open_standard_streams()
     # Until a command handles it: what it has started is ended, and PID 1 of a container has no other way to stop.
     signal.signal(signal.SIGTERM, _terminate)
     for stream in (sys.stdout, sys.stderr):

@@ -21,6 +21,7 @@ from eia_sec.common.config.files import from_toml, with_setting
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
+from eia_sec.deploy.exit_codes import USAGE
 from eia_sec.deploy.local.run_directory import RunDirectory
 
 T = TypeVar("T")
@@ -124,7 +125,7 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
             require_farm(settings, NO_FARM)
         return cast(T, parsed)
     except SystemExit as stop:
-        if stop.code in (0, None):
+        if stop.code != USAGE:  # --help, or a signal that came meanwhile
             raise
         raise UsageError(f"{_sentence(complaint.getvalue())} (eia-sec {name} --help lists the options)") from None
 

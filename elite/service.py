@@ -10,7 +10,7 @@ import numpy as np
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, ProtocolError
-from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
+from eia_sec.common.imitation import LEASE_SECONDS, ImitationEvent, ImitationSchedule
 from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
@@ -79,7 +79,7 @@ class Coordinator:
         start = new_incarnation()
         self._presence = Presence(control, options.run, "elite", options.name, start)
         self._envelope = Envelope("elite", options.name, start, 1).encode()
-        self._leads, self._claimed = False, 0.0
+        self._leads, self._claimed, self._granted = False, 0.0, -LEASE_SECONDS
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
         self._fence = EpochFence()
@@ -114,18 +114,24 @@ class Coordinator:
         if time.monotonic() - self._claimed < CLAIM_SECONDS:
             return
         key, payload = keys.COMMAND.key(self._options.run, verb="lead"), CommandMessage(self._options.name).encode()
+        self._claimed = time.monotonic()
         try:
-            answer = self._bus.ask(key, payload, CLAIM_SECONDS, self._envelope)
-            leads = answer is not None and ReceiptMessage.decode(answer).done
+            answer = self._bus.ask(key, payload, LEASE_SECONDS, self._envelope)
+            # A busy learner answers late, and a claim that it has granted holds meanwhile.
+            leads = self._holds_lease() if answer is None else ReceiptMessage.decode(answer).done
+            if answer is not None:
+                self._granted = self._claimed if leads else -LEASE_SECONDS
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
             log(f"coordinator: the learner does not grant the lead: {error}")
             leads = False
-        self._claimed = time.monotonic()
         if leads != self._leads:
             log(f"coordinator {self._options.name} {'leads' if leads else 'stands by'}.")
         self._leads = leads
+
+    def _holds_lease(self) -> bool:
+        return time.monotonic() - self._granted < LEASE_SECONDS
 
     def _listen(self) -> None:
         for sample in self._tokens.drain():

@@ -76,6 +76,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         ),
         Metric("replaced", "requests", "requests from a worker's start that a newer start has replaced"),
         Metric("malformed_commands", "requests", "requests that were no valid commands and were refused"),
+        Metric("imitations_refused", "requests", "requests to imitate that schedule, team or lease exclude"),
         Metric(
             "malformed_by/*",
             "requests",

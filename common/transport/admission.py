@@ -4,6 +4,7 @@ Zenoh 1.x handles failed TLS handshakes one at a time, 100 ms each, and admits n
 has hung up waits in that queue and holds a descriptor. Linux shows both under /proc.
 """
 
+import errno
 import os
 import resource
 from collections.abc import Sequence
@@ -84,14 +85,15 @@ def admission(endpoint: Endpoint) -> Admission:
     ports = {f"{port:04X}" for port in (endpoint.port, endpoint.port + 1)}
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     waiting = sum(_waiting(table, ports) for table in _TABLES)
-    return Admission(_descriptors(), limit, waiting)
+    return Admission(_descriptors(limit), limit, waiting)
 
 
-def _descriptors() -> int:
+def _descriptors(limit: int) -> int:
     try:
         return len(os.listdir("/proc/self/fd"))
-    except OSError:
-        return 0
+    except OSError as error:
+        # Listing them takes a descriptor, too.
+        return limit if error.errno in (errno.EMFILE, errno.ENFILE) else 0
 
 
 def _waiting(table: Path, ports: set[str]) -> int:

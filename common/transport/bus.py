@@ -19,6 +19,7 @@ import zenoh
 from zenoh import ext
 
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
+from eia_sec.common.text import printable
 from eia_sec.common.transport.credentials import Credentials
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 from eia_sec.common.transport.handshake import complaint, silence
@@ -192,8 +193,7 @@ class Bus:
         try:
             return cls(_open(values), endpoint.credentials)
         except zenoh.ZError as error:
-            reason = "the address is in use or does not belong to this machine"
-            raise EndpointError(f"cannot listen on {where}: {reason}.") from error
+            raise EndpointError(f"cannot listen on {where}: {_reason(error)}.") from error
 
     @classmethod
     def connect(
@@ -217,6 +217,8 @@ class Bus:
             try:
                 return cls(_open(connecting(endpoint, lane)), endpoint.credentials)
             except zenoh.ZError as error:
+                if _lacks_memory(error):
+                    raise EndpointError(f"cannot connect to {endpoint}: {_reason(error)}.") from error
                 if (reason := complaint(endpoint, lane)) is not None:
                     raise EndpointError(reason) from error
                 if not waiting():
@@ -374,6 +376,20 @@ def _answered(reply: Any) -> bytes | None:
     if text.strip().lower() == "timeout":
         return None
     raise BusError(f"refused: {text[:200]}")
+
+
+def _lacks_memory(error: zenoh.ZError) -> bool:
+    return "shm" in str(error).split(" at /", maxsplit=1)[0]
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """Return why a session could not be opened on this machine."""
+    text = str(error)
+    if _lacks_memory(error):
+        return "/dev/shm has no room for shared memory; free some, or leave out --shared-memory"
+    if "os error 98" in text or "os error 99" in text:
+        return "the address is in use or does not belong to this machine"
+    return printable(text.split(" at /", maxsplit=1)[0])
 
 
 def _open(values: Values) -> zenoh.Session:

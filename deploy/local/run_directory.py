@@ -58,6 +58,20 @@ def new_folder(parent: Path, name: str) -> Path:
         raise RunDirError(f"cannot write into {parent}: {error.strerror}.") from error
 
 
+def require_no_links(run_dir: Path) -> None:
+    """Refuse a run directory with symbolic links: a run writes into it, and it may come from somebody else.
+
+    The run directory itself is the user's choice and may be a link.
+
+    Raises:
+        RunDirError: something in it is a symbolic link, which may lead anywhere.
+    """
+    for folder, folders, files in os.walk(run_dir):
+        for name in sorted((*folders, *files)):
+            if (path := Path(folder, name)).is_symlink():
+                raise RunDirError(f"{path} is a symbolic link, and a run writes inside its directory only; remove it.")
+
+
 class RunDirectory:
     """A folder with config.toml, team.json, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 
@@ -72,8 +86,8 @@ class RunDirectory:
         A resumed run may change the settings of its processes, see `eia_sec.common.config.files.method_of`.
 
         Raises:
-            RunDirError: the folder holds another configuration; `resume` is False and it holds a run; `resume` is True
-                and it holds none; or this user cannot read and write it.
+            RunDirError: the folder holds a symbolic link, or another configuration; `resume` is False and it holds a
+                run; `resume` is True and it holds none; or this user cannot read and write it.
         """
         try:
             self._prepare(config, resume=resume)
@@ -81,6 +95,7 @@ class RunDirectory:
             raise RunDirError(f"cannot read and write {self.path}: {error.strerror}.") from error
 
     def _prepare(self, config: RunConfig, *, resume: bool) -> None:
+        require_no_links(self.path)
         held = self.path / CONFIG
         if held.exists():
             self._compare(read_saved(held), config, resume=resume)
@@ -103,10 +118,12 @@ class RunDirectory:
                 use and put a new one beside the lock. File systems that lock no folders, such as NFS, lack this.
 
         Raises:
-            RunDirError: while another process holds the lock, or when this user may not write here.
+            RunDirError: while another process holds the lock, when this user may not write here, or when a link here
+                leads elsewhere.
         """
         try:
-            self._lock = (self.path / name).open("a", encoding="utf-8")
+            require_no_links(self.path)
+            self._lock = os.fdopen(_not_followed(self.path / name, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "a")
             if directory:
                 self._folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         except OSError as error:
@@ -216,6 +233,10 @@ class RunDirectory:
             for entry in self.path.iterdir()
             if entry.name not in ("logs", HISTORY, f"{CONFIG}.new") and entry.suffix != ".lock"
         ]
+
+
+def _not_followed(path: str | Path, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
 def _lock_folder(descriptor: int) -> None:

@@ -12,6 +12,8 @@ SLOW_SHARE: Final = 0.25
 """A worker below this share of the median worker's rate raises an alarm."""
 SETTLED_SECONDS: Final = 20.0
 """Uptime before which a worker's rate is ignored."""
+WAITING_SHARE: Final = 0.5
+"""A worker that waits for the learner for more than this share of the time is held back, and not in trouble itself."""
 NAMED: Final = 3
 """Processes that an alarm names; the rest are counted."""
 
@@ -54,7 +56,7 @@ def _alarm_of_slow(settled: Sequence[ProcessRow], alarm: Callable[[Sequence[Proc
     rates = sorted(row.rate or 0.0 for row in settled)
     middle = rates[len(rates) // 2]
     if middle == 0.0:
-        stopped = [row for row in settled if not row.rate]
+        stopped = [row for row in settled if not row.rate and (row.waits or 0.0) < WAITING_SHARE]
         alarm(stopped, "produces no steps.", "produce no steps.")
         return
     slow = [row for row in settled if (row.rate or 0.0) < SLOW_SHARE * middle]

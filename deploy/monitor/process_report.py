@@ -18,7 +18,7 @@ COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight"
 """What each role makes, by the name of its counter."""
 TRACK: Final = 64
 """Most messages over which a rate is computed."""
-COUNTERS: Final = ("environment_steps", *COUNTED.values())
+COUNTERS: Final = ("environment_steps", "waiting_seconds", *COUNTED.values())
 """Metrics of which rates are shown."""
 MOST_ALARMS: Final = 16
 """Most alarms of one process that are shown; the rest are counted."""
@@ -80,6 +80,10 @@ class ProcessReport:
             return None
         (began, first), (ended, last) = self._track[0], self._track[-1]
         return float(last[counter] - first[counter]) / (ended - began)
+
+    def waits(self) -> float | None:
+        """Return a worker's share of the last RATE_SECONDS in which it waited for the learner; None if unknown."""
+        return self.rate("waiting_seconds")
 
     def drop(self) -> None:
         """Forget metrics that could not be shown."""

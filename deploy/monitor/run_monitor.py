@@ -141,9 +141,11 @@ class RunMonitor:
         )
         over = values.get("state") in ("draining", "finished") or 0 < total <= episodes
         rows, complaints = examine(rows, training=values.get("state") == "training" and not over, over=over)
+        if orphaned := _lacks_learner(rows):
+            complaints.append("no learner is there, and workers hold the parameters of one.")
         return Snapshot(
             run=self._run,
-            state=str(values.get("state", "starting")),
+            state=str(values.get("state", "without learner" if orphaned else "starting")),
             elapsed=elapsed,
             left=elapsed * (total - episodes) / episodes if episodes else None,
             episodes=episodes,
@@ -236,6 +238,7 @@ class RunMonitor:
             age=time.monotonic() - seen.at if message else 0.0,
             alive=seen.alive,
             ledger=ledger,
+            waits=seen.waits() if role == "rollout" else None,
         )
 
     def _alarms(self, learner: dict[str, Any]) -> tuple[str, ...]:
@@ -268,6 +271,13 @@ class RunMonitor:
         if self._malformed:
             found.append(f"{self._malformed} metric messages were malformed.")
         return tuple(found)
+
+
+def _lacks_learner(rows: Sequence[ProcessRow]) -> bool:
+    """Return whether no learner is there though there was one: workers hold its parameters."""
+    return all(row.role != LEARNER for row in rows) and any(
+        row.role == "rollout" and row.alive and row.version for row in rows
+    )
 
 
 def _hidden(rows: int, messages: int) -> list[str]:

@@ -114,6 +114,7 @@ class ProcessRow:
         ledger: a worker's steps, over all its starts.
         trouble: whether it is gone, silent, far behind or slow; its own alarms do not count.
         left: whether only the learner's ledger knows it: a worker that left before this view started.
+        waits: a worker's share of the last seconds in which it waited for the learner, 0..1; None if unknown.
     """
 
     role: str
@@ -131,6 +132,7 @@ class ProcessRow:
     ledger: LedgerCounts | None = None
     trouble: bool = False
     left: bool = False
+    waits: float | None = None
 
     @property
     def quiet(self) -> bool:

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-LEASE_SECONDS = 3.0
-"""Time after the holder's last claim from which another coordinator may take over."""
+from eia_sec.common.imitation import LEASE_SECONDS
 
 
 @dataclass

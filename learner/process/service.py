@@ -11,7 +11,7 @@ from eia_sec.common.config.files import to_toml
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, EiaSecError, UsageError
 from eia_sec.common.history.history import History
-from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
@@ -82,6 +82,7 @@ class Learner:
         self._open_bulk(config, environment, bulk, ledger)
         self._reporter.add(self._feed.metrics, self._feed.alarms)
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
+        self._reporter.add(self._imitations.metrics, self._imitations.alarms)
         self._reporter.add(lambda: {"waits": self._times.seconds()})
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
         self._reporter.add(alarms=lambda: [self._history.failure])
@@ -119,7 +120,9 @@ class Learner:
         self._membership = Membership(control, run)
         self._commands = CommandServer(commands, configuration, ledger.newest_incarnation)
         server = control.serve(keys.IMITATION.key(run), 4)
-        self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
+        self._imitations = ImitationServer(
+            server, self.trainer, ImitationSchedule.of(config), self._commands.lease, self._epoch, self._on_imitation
+        )
 
     def _open_bulk(self, config: RunConfig, environment: EnvironmentSpec, bulk: Bus, ledger: Ledger) -> None:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)

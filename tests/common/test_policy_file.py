@@ -1,5 +1,6 @@
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -256,3 +257,12 @@ def test_not_a_number_is_not_loaded(path, actors):
     path.write_bytes(save(dict(zip(names, actors.flat, strict=True)), metadata={**metadata, "digest": digest}))
     with pytest.raises(PolicyError, match="not finite numbers, because its training diverged"):
         load_policy(path)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path, make):
+    """A pipe without a writer would be waited for without end."""
+    make(tmp_path / "policy")
+    with pytest.raises(PolicyError, match=r"is not a regular file|Is a directory"):
+        load_policy(tmp_path / "policy")

@@ -2,6 +2,7 @@
 
 import errno
 import io
+import signal
 import subprocess
 import sys
 
@@ -115,3 +116,36 @@ def test_sigterm_ends_a_command_that_does_not_handle_it():
         process.stdout.readline()
         process.terminate()
         assert process.wait(30.0) == 143
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_while_options_are_parsed_is_no_mistake_of_the_user(number, code):
+    """The exit code is that of the signal, so that a supervisor starts the command again."""
+    script = (
+        "import os, signal, sys, time, tyro, eia_sec.deploy.cli as c\n"
+        f"tyro.cli = lambda *a, **k: (os.kill(os.getpid(), {int(number)}), time.sleep(60))\n"
+        "sys.argv = ['eia-sec', 'status', 'none.toml']; c.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, "invalid command line" in done.stderr) == (code, False)
+
+
+def test_ctrl_c_during_an_import_prints_one_line(tmp_path):
+    """A command's module takes seconds to load; Ctrl-C meanwhile leaves no traceback of somebody's import."""
+    (tmp_path / "slow.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
+    script = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import eia_sec.deploy.cli as c\n"
+        "c.COMMANDS['slow'] = c.Command('slow', ''); sys.argv = ['eia-sec', 'slow']; c.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "eia-sec: interrupted.\n")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_stream_changes_no_exit_code(closed, tmp_path):
+    """With standard streams closed by the caller a command does its work; no file of its own takes their numbers."""
+    (tmp_path / "fleet.toml").write_text('[learner]\nhost = "one"\n[hosts.one]\nhost = "local"\n')
+    words = f"{sys.executable} -m eia_sec.deploy.cli fleet check {tmp_path / 'fleet.toml'} {closed}"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr

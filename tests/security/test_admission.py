@@ -1,10 +1,12 @@
 """Strangers who hold connections half open: members stay served, newcomers get in, an alarm says what waits."""
 
+import os
+import resource
 import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,3 +115,21 @@ def test_a_report_looks_once(monkeypatch):
 def test_too_many_descriptors_are_an_alarm(descriptors, alarms):
     """From half of what a process may have on."""
     assert len(Admission(descriptors, 1024, MOST_WAITING).alarms()) == alarms
+
+
+def test_no_descriptor_left_is_the_loudest_alarm():
+    """Where even the list of descriptors cannot be opened, all are in use."""
+    held, place = [], free_endpoint()
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 256), hard))
+    try:
+        with suppress(OSError):
+            while True:
+                held.append(os.open(os.devnull, os.O_RDONLY))
+        found = admission(place)
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert found.descriptors == found.limit == min(soft, 256)
+    assert "descriptors are open; when none are left, nobody can connect" in found.alarms()[0]

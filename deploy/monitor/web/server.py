@@ -149,8 +149,8 @@ class WebServer:
         seat = self._hub.enter(MAX_BROWSERS)
         if seat is None:
             return
-        connection.socket.settimeout(SEND_SECONDS)
         try:
+            connection.socket.settimeout(SEND_SECONDS)
             reported = 0
             while connection.close_code is None:
                 packet = seat.take(LOOK_SECONDS)
@@ -159,7 +159,7 @@ class WebServer:
                 if seat.dropped != reported:
                     reported = seat.dropped
                     connection.send(f'{{"dropped": {reported}}}')
-        except ConnectionClosed:
+        except (ConnectionClosed, OSError):  # a browser that hangs up may close the socket under any of these calls
             return
         finally:
             self._hub.leave(seat)

@@ -1,5 +1,6 @@
 """The four deliveries over a real Zenoh session on loopback."""
 
+import re
 import socket
 import threading
 import time
@@ -11,6 +12,7 @@ import pytest
 import zenoh
 
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError
+from eia_sec.common.transport import bus as bus_module
 from eia_sec.common.transport.bus import Bus, Incoming, Sample, Server, Subscription
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 
@@ -218,3 +220,33 @@ def test_who_is_ended_while_it_waits_for_a_listener_is_not_mistaken():
     """Nobody listens, and the process is asked to end."""
     with pytest.raises(CancelledError, match="before this process was ended"):
         Bus.connect(free_endpoint(), "control", 600.0, waiting=lambda: False)
+
+
+FULL = "Unable to create POSIX shm segment: OS error 12 at /build/zenoh/commons/zenoh-shm/src/posix_shm/segment.rs:85."
+TAKEN = (
+    "Can not create a new TCP listener: [127.0.0.1:1: Address already in use (os error 98) at /build/shm.rs:61.] at /x."
+)
+OTHER = "Can not create a new TCP listener: Too many open files (os error 24) at /build/x.rs:61."
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FULL, "/dev/shm has no room for shared memory; free some, or leave out --shared-memory"),
+        (TAKEN, "the address is in use or does not belong to this machine"),
+        (OTHER, "Can not create a new TCP listener: Too many open files (os error 24)"),
+    ],
+)
+def test_why_a_session_cannot_be_opened_is_said(monkeypatch: pytest.MonkeyPatch, text: str, said: str) -> None:
+    """Listening names the cause that Zenoh gives; a connection that lacks memory does not blame the other side."""
+
+    def refuse(values: object) -> None:
+        raise zenoh.ZError(text)
+
+    monkeypatch.setattr(bus_module, "_open", refuse)
+    endpoint = free_endpoint()
+    with pytest.raises(EndpointError, match=re.escape(f"cannot listen on {endpoint.locator('bulk')}: {said}.")):
+        Bus.listen(endpoint, "bulk")
+    if text == FULL:
+        with pytest.raises(EndpointError, match=re.escape(f"cannot connect to {endpoint}: {said}.")):
+            Bus.connect(endpoint, "bulk")

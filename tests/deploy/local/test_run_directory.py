@@ -1,6 +1,7 @@
 """A run directory belongs to one learner at a time, whatever happens to the files in it."""
 
 import multiprocessing
+import re
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory, new_folder
@@ -149,3 +151,47 @@ def test_a_run_goes_on_only_with_its_own_team(tmp_path: Path) -> None:
     (tmp_path / "run" / "team.json").write_text('{"groups": 7}')
     with pytest.raises(RunDirError, match=r"team.json is damaged"):
         directory.adopt(config, before)
+
+
+LINKS = (
+    "learner.lock",
+    "train.lock",
+    "config.toml.new",
+    "metrics.jsonl",
+    "policy.safetensors",
+    "checkpoints",
+    "history",
+    "history/learner.jsonl",
+    "logs/learner.log",
+    "tensorboard",
+)
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_a_run_directory_with_links_is_refused(tmp_path: Path, name: str) -> None:
+    """Somebody else's run directory cannot make a resume write outside it: one sentence names the link."""
+    directory, outside = tmp_path / "run", tmp_path / "outside"
+    config = preset("quick")
+    RunDirectory(directory).prepare(config, resume=False)
+    outside.mkdir()
+    (outside / "file").write_text("mine")
+    (directory / name).parent.mkdir(exist_ok=True)
+    folder = name in ("checkpoints", "history", "tensorboard")
+    (directory / name).symlink_to(outside if folder else outside / "file")
+    said = f"{re.escape(str(directory / name))} is a symbolic link"
+    with pytest.raises(RunDirError, match=said):
+        RunDirectory(directory).prepare(config, resume=True)
+    with pytest.raises(RunDirError, match=said):
+        RunDirectory(directory).lock("learner.lock", directory=True)
+    assert (outside / "file").read_text() == "mine"
+    assert [path.name for path in outside.iterdir()] == ["file"]
+
+
+def test_the_run_directory_itself_may_be_a_link(tmp_path: Path) -> None:
+    """Its place is the user's choice."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "run").symlink_to(tmp_path / "elsewhere")
+    directory = RunDirectory(tmp_path / "run")
+    directory.prepare(preset("quick"), resume=False)
+    directory.lock("learner.lock", directory=True)
+    assert (tmp_path / "elsewhere" / "learner.lock").exists()

@@ -218,3 +218,22 @@ def test_labels_are_shown_as_they_are():
     shown = console.file.getvalue()
     assert "delay [ms]" in shown
     assert "[/x]" in shown
+
+
+def test_a_view_that_began_after_the_learner_died_says_so(monitor):
+    """Workers that hold parameters had a learner: the run is not starting. Without parameters it is."""
+    report(monitor, "rollout", {"environment_steps": 5})
+    snapshot = monitor.snapshot()
+    assert snapshot.state == "without learner"
+    assert "no learner is there, and workers hold the parameters of one." in snapshot.alarms
+    monitor._reports[("rollout", "x")].version = 0
+    assert (monitor.snapshot().state, monitor.snapshot().alarms) == ("starting", ())
+
+
+@pytest.mark.parametrize(("waited", "alarmed"), [(0.95, False), (0.1, True)])
+def test_workers_that_the_learner_holds_back_are_in_no_trouble(monitor, waited, alarmed):
+    """No step in ten seconds is backpressure while a worker waits for the learner, else an alarm."""
+    report(monitor, "learner", SOUND, "learner")
+    for second in range(20, 33):
+        report(monitor, "rollout", {"environment_steps": 500, "waiting_seconds": waited * second}, counter=second)
+    assert ("rollout x produces no steps." in monitor.snapshot().alarms) is alarmed

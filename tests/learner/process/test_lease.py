@@ -1,6 +1,7 @@
 """Of several coordinators one leads, and a silent one loses the lead for good."""
 
-from eia_sec.learner.process.lease import LEASE_SECONDS, Lease
+from eia_sec.common.imitation import LEASE_SECONDS
+from eia_sec.learner.process.lease import Lease
 
 
 def test_the_first_claimant_leads_until_it_is_silent():

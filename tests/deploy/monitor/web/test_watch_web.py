@@ -334,3 +334,36 @@ def test_names_that_are_no_workers_are_not_watched():
     source._look_around()
     source._choose()
     assert (source.worker, source.malformed) == ("good-0", 1)
+
+
+def test_browsers_that_hang_up_keep_no_seat(capfd):
+    """After sixty that open the stream and hang up at once, all seats are free, and nothing was printed."""
+    hub = Hub()
+    with WebServer(hub, "127.0.0.1", 0) as web:
+        for number in range(60):
+            link = socket.create_connection(("127.0.0.1", web.port), timeout=10)
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", number % 2, 0))
+            link.sendall(
+                f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{web.port}\r\nOrigin: http://127.0.0.1:{web.port}\r\n"
+                "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+            )
+            if number % 3 == 0:
+                link.recv(100)
+            link.close()
+            time.sleep(0.01)
+        deadline = time.monotonic() + 20.0
+        while hub.seats and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert hub.seats == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_seat_is_given_back_when_the_socket_is_already_closed():
+    """A browser that is gone before its thread first uses the socket costs nothing."""
+    hub = Hub()
+    with WebServer(hub, "127.0.0.1", 0) as web:
+        gone = socket.socket()
+        gone.close()
+        web._feed(SimpleNamespace(socket=gone, close_code=None))
+    assert hub.seats == 0
