@@ -68,6 +68,27 @@ def test_a_fleet_is_started_changed_and_ended(tmp_path: Path, folders: list[Path
 
 
 @pytest.mark.nightly
+def test_a_run_moves_with_its_learner(tmp_path: Path, folders: list[Path]) -> None:
+    """`up` refuses to begin anew on another host; after the move the learner continues, and nothing is unexplained."""
+    fleet, file = OnHosts(tmp_path, TWO), str(tmp_path / "fleet.toml")
+    fleet.eia_sec("up", file)
+    until_more(tmp_path / "one" / "run" / "history" / "learner.jsonl")
+    fleet.edit('[learner]\nhost = "one"', '[learner]\nhost = "two"')
+    before = fleet.pids()
+    assert "one holds run test, and [learner] names two" in fleet.eia_sec("up", file, code=2)
+    assert fleet.pids() == before
+    said = fleet.eia_sec("fleet", "move-learner", file)
+    assert "run test has moved from one to two." in said
+    moved = tmp_path / "two" / "run" / "history" / "learner.jsonl"
+    until_more(moved)
+    assert moved.read_text().count('["start"') == 2
+    assert not (tmp_path / "one" / "run" / "config.toml").exists()
+    fleet.eia_sec("down", file)
+    found = fleet.collected()
+    assert (found.clean, found.starts) == (True, 2), found.to_dict()
+
+
+@pytest.mark.nightly
 def test_a_killed_keeper_leaves_nothing_behind(tmp_path: Path, folders: list[Path]) -> None:
     """The processes of a killed keeper end, and the next `up` goes on from the learner's checkpoint."""
     fleet, file = OnHosts(tmp_path, TWO), str(tmp_path / "fleet.toml")
