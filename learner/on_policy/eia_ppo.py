@@ -69,8 +69,9 @@ class EiaPpo(Ppo):
     """EIA-SEC on policy."""
 
     def value_function(self, group: GroupSpec, seed: int) -> GroupValue:
-        """See `Ppo`."""
-        return MixedValue(self.config, group, seed)
+        """See `Ppo`; without members, the local value function alone."""
+        kind = MixedValue if self.config.ensemble_size else OwnValue
+        return kind(self.config, group, seed)
 
 
 def _stack(module: nn.Module) -> Stack:

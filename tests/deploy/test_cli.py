@@ -59,7 +59,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["down", "--wait", "-1"], "wait must be"),
         (["status"], "fleet.toml cannot be read"),
         (["logs", "--lines", "0"], "lines must be"),
-        (["fleet"], "check, keys, collect, render"),
+        (["fleet"], "check, keys, collect, move-"),
         (["fleet", "render", "swarm"], "'swarm'"),
         (["host", "fly"], "'fly'"),
         (["alive", "rollout"], "NAME"),
@@ -177,12 +177,12 @@ def test_a_folder_of_somebody_else_is_refused(tmp_path: Path, monkeypatch: pytes
     def refuse(*arguments: object, **options: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    for name, step in (
-        ("exists", lambda: directory.prepare(RunConfig(), resume=True)),
-        ("open", lambda: directory.lock("x")),
+    for place, name, step in (
+        (Path, "exists", lambda: directory.prepare(RunConfig(), resume=True)),
+        (os, "open", lambda: directory.lock("x")),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(Path, name, refuse)
+            patch.setattr(place, name, refuse)
             with pytest.raises(RunDirError, match="Permission denied"):
                 step()
     (tmp_path / "metrics.jsonl").write_bytes(b"\xff\xfe\n")

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from eia_sec.common.config import EnvConfig, RunConfig
+from eia_sec.common.config.files import to_toml
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.exit_codes import run_command
 from tests.deploy.test_cli import complaint
@@ -85,7 +87,7 @@ def test_a_replay_of_another_environment_is_refused_for_what_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The sentence does not advise an option that the command lacks."""
-    (tmp_path / "config.toml").write_text('[env]\nname = "mpe2:simple_spread_v3"\n')
+    (tmp_path / "config.toml").write_text(to_toml(RunConfig(env=EnvConfig("mpe2:simple_spread_v3"))))
     error = complaint(capsys, "replay", str(tmp_path))
     assert "this run is about mpe2:simple_spread_v3; only the farm can be replayed." in error
     assert "--env" not in error

@@ -171,7 +171,7 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     )
     np.testing.assert_array_equal(policy.act(farms), action)
     printed = replace(farm, control=replace(farm.control, monitoring="velocity"))
-    with pytest.raises(PolicyError, match=r"\(lattice, mirrored axes\)"):
+    with pytest.raises(PolicyError, match=r"4 monitoring agents with 41 inputs \(2 outputs, lattice, mirrored axes\)"):
         begin(printed, policy)
 
 

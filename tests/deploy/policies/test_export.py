@@ -177,7 +177,9 @@ def test_a_policy_cannot_name_files_elsewhere(tmp_path, capsys, name, kind):
     data = (directory / "policy.safetensors").read_bytes()
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
     hostile = name.format(outside=outside)
-    header["__metadata__"]["team"] = json.dumps({"groups": [[hostile, 1, 5, 3]]})
+    described = json.loads(header["__metadata__"]["team"])
+    described["groups"][0]["name"] = hostile
+    header["__metadata__"]["team"] = json.dumps(described)
     header[hostile] = header.pop("walker")
     text = json.dumps(header).encode()
     body = data[8 + int.from_bytes(data[:8], "little") :]

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from eia_sec.common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig
-from eia_sec.common.config.files import digest
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import RunDirError
 from eia_sec.common.imitation import ImitationEvent
@@ -272,15 +271,6 @@ def test_a_run_goes_on_with_other_settings_of_its_process(tmp_path):
     learner = LearnerConfig(threads=2, checkpoint_seconds=7.0, keep_checkpoints=5)
     other = replace(CONFIG, learner=learner, evaluation=EvaluationConfig(farms=3))
     assert RunStorage(tmp_path, other).restore(OffPolicyTrainer(other, TEAM), Ledger()) == (3.0, 1)
-
-
-def test_a_checkpoint_that_names_the_whole_configuration_goes_on(tmp_path):
-    """Earlier versions did not leave out the settings of the process."""
-    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
-    tensors, state = trainer.snapshot()
-    body = {"configuration": digest(CONFIG), "trainer": state, "intake": ledger.state(), "elapsed": 4.0, "epoch": 2}
-    files.save(tmp_path / CHECKPOINTS, tensors, body, keep=1)
-    assert storage.restore(OffPolicyTrainer(CONFIG, TEAM), Ledger()) == (4.0, 2)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):

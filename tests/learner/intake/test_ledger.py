@@ -160,23 +160,6 @@ def test_of_many_workers_those_in_trouble_and_the_busiest_are_listed_and_the_oth
     assert_columns_add_up(totals, rows, flown=sum(range(10, 70)) + 5 + 60 - 15)
 
 
-def test_a_checkpoint_without_single_accounts_still_adds_up() -> None:
-    """What a checkpoint of an older form knows only in sum stands in the row of the others, and is explained."""
-    ledger, again = Ledger(), Ledger()
-    produce(ledger, "a", 1, 10, flown=50)
-    produce(ledger, "a", 1, 10, incarnation=2)
-    state = ledger.state()
-    for entry in state["workers"].values():
-        del entry["earlier"]
-    state["closed"]["produced"] = 10  # what a killed start still held was not in it
-    again.restore(state)
-    totals, rows = again.accounts()
-    assert totals == ledger.totals()
-    assert (rows["a"]["produced"], rows[OTHERS]["lost"], rows[OTHERS]["workers"]) == (10, 40, 0)
-    assert_columns_add_up(totals, rows, flown=60)
-    assert again.unexplained() == 0
-
-
 def flight(ledger: Ledger) -> int:
     """Book all that can become of steps, also out of order and over two starts; return what the workers have flown."""
     produce(ledger, "a", 1, 10, flown=90)
