@@ -53,6 +53,10 @@ class PolicyError(UsageError):
     """A policy name that does not exist or a policy file that cannot be used."""
 
 
+class DivergenceError(UsageError):
+    """Training has made networks that are not finite; to begin it again with the same settings would do the same."""
+
+
 class ContractError(UsageError):
     """An environment that does something else than PettingZoo asks for."""
 

@@ -143,6 +143,12 @@ def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
     return None
 
 
+def newest(directory: Path) -> Path | None:
+    """Return the newest checkpoint, which is not read, or None."""
+    found = _checkpoints(directory)
+    return found[-1][1] if found else None
+
+
 def set_aside(paths: Sequence[Path]) -> None:
     """Rename damaged checkpoints so that they no longer count, and remove those renamed earlier.
 

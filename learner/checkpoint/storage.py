@@ -149,6 +149,11 @@ class RunStorage:
         trainer.restore(found.tensors, mapping(manifest, "trainer"))
         return elapsed, epoch
 
+    def newest(self) -> Path | None:
+        """Return the newest checkpoint, once none is being written, or None."""
+        self.close()
+        return None if self._directory is None else files.newest(self._directory / CHECKPOINTS)
+
     def _set_aside(self, found: files.Found) -> None:
         for _, message in found.skipped:
             log(f"ALARM: {message}")

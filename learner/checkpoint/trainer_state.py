@@ -16,6 +16,10 @@ MOST_COUNT: Final = 2**62
 """Upper bound of a run's counters; no run comes near it, and messages could not carry larger ones."""
 MOST_EPISODES: Final = 4096
 """Most episodes that a checkpoint may hold."""
+LARGEST_WEIGHT: Final = 1e10
+"""Bound of a network's weights; with larger ones in three layers, outputs overflow."""
+OF_ADAM: Final = ("step", "_steps", "exp_avg", "exp_avg_sq", "_mean", "_square")
+"""Ends of the names of what Adam keeps beside the weights."""
 MOST_MEAN: Final = 7.5
 """Bound of a gradient's running mean, as a multiple of the root of its running mean square. By the Cauchy-Schwarz
 inequality this ratio never exceeds (1 - 0.9) / sqrt((1 - 0.999) (1 - 0.9^2 / 0.999)) = 7.27. With a larger one, the
@@ -36,6 +40,9 @@ def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor])
             raise CheckpointError(f"the checkpoint's {name} does not fit the configuration.")
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise CheckpointError(f"the checkpoint's {name} holds a number that is not finite.")
+        weight = tensor.is_floating_point() and not name.endswith(OF_ADAM)
+        if weight and tensor.numel() and float(tensor.abs().max()) > LARGEST_WEIGHT:
+            raise CheckpointError(f"the checkpoint's {name} holds a weight beyond {LARGEST_WEIGHT:g}.")
     return {name: source[name] for name in targets}
 
 

@@ -9,7 +9,7 @@ import torch
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import BusError, EiaSecError, UsageError
+from eia_sec.common.errors import BusError, DivergenceError, EiaSecError, SchemaError, UsageError
 from eia_sec.common.history.history import History
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.log import log
@@ -242,8 +242,19 @@ class Learner:
             updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
             # Before any worker can fly with it.
             self._receiver.room.set_version(self.trainer.next_version(), updating=updating)
-            self._publisher.publish_parameters()
+            try:
+                self._publisher.publish_parameters()
+            except SchemaError as error:
+                raise self._diverged(error) from error
             self._publish_progress()
+
+    def _diverged(self, error: SchemaError) -> DivergenceError:
+        newest = self._storage.newest()
+        kept = "no checkpoint was written before" if newest is None else f"the newest checkpoint, {newest}, is finite"
+        return DivergenceError(
+            f"the training has diverged after {self.trainer.updates} updates: {error} {kept[0].upper()}{kept[1:]}. "
+            "Lower the learning rates and begin again."
+        )
 
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(time.monotonic())
@@ -308,6 +319,7 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
         RunDirError: when the run directory belongs to another configuration.
         ConfigError: when the device does not exist, or the algorithm cannot train the team.
         CheckpointError: when a resumed run has checkpoints and all are damaged, or the newest whole one does not fit.
+        DivergenceError: when actors are no longer finite.
         UsageError: when a newer learner has taken over, or the worker of a lockstep run was restarted.
         EiaSecError: when the final policy cannot be written.
     """

@@ -276,3 +276,12 @@ def test_a_run_directory_that_is_replaced_stops_the_learner(tmp_path):
     storage.require_same_directory()
     storage.save(OffPolicyTrainer(CONFIG, TEAM), Ledger(), 0.0, 1, wait=True)
     assert storage.alarms() == ["", ""]
+
+
+def test_weights_that_overflow_are_refused(saved, tmp_path):
+    """Finite weights of 1e38 would make every value NaN at the next update; large ones that networks have are taken."""
+    found = files.load_latest(saved[0] / CHECKPOINTS)
+    for size, refused in ((1e38, True), (1e9, False)):
+        forged = found.tensors["engine.actors"].clone()
+        forged.view(-1)[0] = size
+        assert (restored_tensor(tmp_path, found, "engine.actors", forged) is None) == refused
