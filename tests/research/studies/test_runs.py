@@ -49,7 +49,7 @@ def trained(bench):
 
 
 def plan(bench, study, write, reports):
-    return Plan(study, bench, write, 1, ["reproduce", study, "--scale", "smoke"], reports.append)
+    return Plan(study, bench, write, 1, [study, "--scale", "smoke"], reports.append)
 
 
 def test_a_run_is_that_of_one_process(bench, trained):
