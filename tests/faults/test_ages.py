@@ -57,7 +57,8 @@ class Learner:
             incoming.reply(ChunkAck(*taken, sender.sequence + count, 0).encode())
         if self.talks:
             self._progress.put(ProgressMessage(1, self.newest, 0, 1, 1000, 1, "training").encode())
-        self.reports += [MetricMessage.decode(sample.payload) for sample in self._metrics.drain()]
+        found = [MetricMessage.decode(sample.payload) for sample in self._metrics.drain()]
+        self.reports += [report for report in found if report.values["state"] != "starting"]
 
     def expect_flying(self) -> None:
         """Wait for some reports in a row in which the worker has flown on and names no reason not to."""

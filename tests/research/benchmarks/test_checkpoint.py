@@ -29,7 +29,7 @@ def test_a_result_names_its_origin_and_is_shown(tmp_path):
     text = measured("checkpoint", tmp_path)
     assert NOT_MEASURED not in text
     assert f"| training stopped | {written['pause_ms_median']:.1f} | {written['pause_ms_most']:.1f} |" in text
-    assert list(tmp_path.iterdir()) == [tmp_path / "docs"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "research"]
 
 
 def test_the_verdict_is_that_of_the_longest_pause():
