@@ -77,6 +77,7 @@ COMMANDS: Final = {
 
 
 LOG_FORMAT: Final = ("--log-format", "--log_format")
+"""Spellings of the option that every command has."""
 
 
 def overview() -> str:
@@ -95,9 +96,7 @@ def without_log_format(arguments: list[str]) -> list[str]:
     Raises:
         UsageError: there is no such format.
     """
-    places = [
-        place for place, word in enumerate(arguments) if word.partition("=")[0] in ("--log-format", "--log_format")
-    ]
+    places = [place for place, word in enumerate(arguments) if word.partition("=")[0] in LOG_FORMAT]
     if not places:
         return arguments
     place = places[0]
