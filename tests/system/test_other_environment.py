@@ -4,10 +4,13 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from eia_sec.common.config import EnvConfig, RunConfig
+from eia_sec.common.config.files import to_toml
 from tests.system.fleet import Processes
 
 RELAY = """
@@ -124,8 +127,8 @@ def test_a_worker_loads_no_environment_that_it_was_not_given(
 def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> None:
     """What a run directory names is loaded only where the command line names it too."""
     witness = tmp_path / "witness"
-    toml = f'[env]\nname = "os:system"\narguments = \'{{"command": "touch {witness}"}}\'\n'
-    (tmp_path / "config.toml").write_text(toml)
+    env = EnvConfig(name="os:system", arguments=json.dumps({"command": f"touch {witness}"}))
+    (tmp_path / "config.toml").write_text(to_toml(replace(RunConfig(), env=env)))
     for command in (["evaluate", "--policy", "random"], ["train", "--resume"]):
         done = subprocess.run(
             [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--run-dir", str(tmp_path)],

@@ -85,7 +85,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
     assert bench.records.missing(jobs) == []
     assert {name: (tmp_path / f"{name}.json").read_bytes() for name in kept} == kept
     made = {job.digest: (bench.records.get(job) or {})["command"] for job in jobs}
-    assert {made[name] for name in missing} == {f"eia-sec {' '.join(arguments[:-2])}"}
+    assert {made[name] for name in missing} == {f"python -m research.studies {' '.join(arguments[:-2])}"}
     assert all((tmp_path / "smoke" / "inference" / name).is_file() for name in WHOLE)
 
 

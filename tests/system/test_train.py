@@ -39,27 +39,6 @@ def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
     assert training.wait(30.0) == 0
 
 
-def test_a_run_of_an_older_version_goes_on_as_it_was(training: Training) -> None:
-    """What its configuration does not name is not what the default preset says now, but what was done then."""
-    training.config.write_text(LONG, encoding="utf-8")
-    training.start("--no-report", "--preset", "study")
-    until(lambda: training.episodes() >= 2, "training")
-    assert training.process is not None
-    training.process.send_signal(signal.SIGINT)
-    assert training.wait(30.0) == 0
-    held = training.run_dir / "config.toml"
-    lines = held.read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [line for line in lines if not line.startswith(("mirrored", "potential_discount"))]
-    assert len(kept) == len(lines) - 2
-    held.write_text("".join(kept), encoding="utf-8")
-    before = training.episodes()
-    training.start("--no-report", "--resume", configured=False)
-    until(lambda: training.episodes() > before + 2 or training.process.poll() is not None, "going on")
-    training.process.send_signal(signal.SIGTERM)
-    assert training.wait(30.0) == 0, training.output.read_text()
-    assert training.episodes() > before + 2
-
-
 def test_what_a_killed_learner_reported_is_reported_once(training: Training) -> None:
     """It begins again, as there was no checkpoint yet; who reads the records has each episode once."""
     assert RARE in LONG.replace(OFTEN, RARE)
