@@ -5,9 +5,9 @@ start was ahead, the new start takes a slightly greater number instead.
 """
 
 import secrets
-import time
 from typing import Final
 
+from eia_sec.common.clock import microseconds
 from eia_sec.common.errors import UsageError
 
 LATEST: Final = 2**53
@@ -27,7 +27,7 @@ def new_incarnation(known: int = 0) -> int:
     Raises:
         UsageError: no greater number is left.
     """
-    now = min(time.time_ns() // 1000, LATEST)
+    now = min(microseconds(), LATEST)
     number = now if now > known else known + 1 + secrets.randbelow(STRIDE)
     if number >= LIMIT:
         raise UsageError(f"an earlier start of this name has the number {known}, and no greater one is left.")
@@ -44,4 +44,4 @@ def plausible(number: int, known: int) -> bool:
 
 def seconds_ahead(known: int) -> float:
     """Return how many seconds the clock behind a number is ahead of this machine's; 0 when it is not."""
-    return max(0.0, (known - time.time_ns() // 1000) / 1e6)
+    return max(0.0, (known - microseconds()) / 1e6)

@@ -6,13 +6,14 @@ import queue
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import BusError
 from eia_sec.common.log import log, name_process
+from eia_sec.common.loops import Loop
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
 from eia_sec.common.transport.bus import Bus, Publisher
@@ -88,7 +89,7 @@ class Presence:
         name_process(role, name)
         self._credentials, self._logged = bus.credentials, ""
         self._counter = 0
-        self._started = time.monotonic()
+        self._started = monotonic()
 
     def report(self, values: dict[str, Any], version: int = 0) -> None:
         """Publish one metric message; whole numbers beyond LARGEST are clamped to it."""
@@ -99,7 +100,7 @@ class Presence:
             self._logged = alarm
             log(alarm)
         self._counter += 1
-        uptime = time.monotonic() - self._started
+        uptime = monotonic() - self._started
         message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, _clamped(values))
         envelope = Envelope(*self._sender, sequence=self._counter, version=version)
         self._publisher.put(message.encode(), envelope.encode())
@@ -116,8 +117,8 @@ def _clamped(value: Any) -> Any:
 
 def fetch_configuration(
     bus: Bus, run: str, sender: str, keep_waiting: Callable[[], bool], patience: float
-) -> ConfigurationMessage | None:
-    """Ask the learner for the run's configuration until it answers.
+) -> Loop[ConfigurationMessage | None]:
+    """Return the loop that asks the learner for the run's configuration until it answers.
 
     Args:
         bus: the control lane.
@@ -133,22 +134,22 @@ def fetch_configuration(
         ProtocolError: when the answer is malformed.
     """
     key = keys.COMMAND.key(run, verb="configuration")
-    logged = time.monotonic()
+    logged = monotonic()
     while keep_waiting():
-        asked = time.monotonic()
+        asked = monotonic()
         try:
-            answer = bus.ask(key, CommandMessage(sender).encode(), timeout=5.0)
+            answer = yield from bus.asking(key, CommandMessage(sender).encode(), 5.0)
         except BusError as error:
             log(f"the learner of run {run} refused: {error}")
             answer = None
         if answer is not None:
             return ConfigurationMessage.decode(answer)
-        if time.monotonic() - logged > patience:
+        if monotonic() - logged > patience:
             # With a busy learner the request times out; with none, or none that we may reach, it ends at once.
-            quick = time.monotonic() - asked < QUICK_SECONDS
+            quick = monotonic() - asked < QUICK_SECONDS
             log((denial(bus, run, key) if quick else None) or f"waiting for a learner of run {run}.")
-            logged = time.monotonic()
-        time.sleep(0.2)
+            logged = monotonic()
+        yield 0.2
     return None
 
 

@@ -1,18 +1,18 @@
 """The elite coordinator: when an event is due, it has workers evaluate the actors and announces the elites."""
 
-import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
-from eia_sec.common.errors import BusClosedError, BusError, CancelledError, ProtocolError
+from eia_sec.common.errors import BusClosedError, BusError, ProtocolError
 from eia_sec.common.imitation import LEASE_SECONDS, ImitationEvent, ImitationSchedule
 from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
+from eia_sec.common.loops import Loop, Running, run
 from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.epoch_fence import EpochFence
@@ -41,6 +41,8 @@ RETRY_SECONDS = 0.5
 """Pause after an attempt that reached no worker; the workers may have just died."""
 CLAIM_SECONDS = 1.0
 """Time between two claims to the lead."""
+APPLIED_SECONDS = 5.0
+"""Time for which the learner's progress may not yet show an event that it was asked to apply."""
 REPORT_SECONDS = 1.0
 IDLE_SECONDS = 0.02
 
@@ -62,6 +64,15 @@ class CoordinatorOptions:
     patience: float = 60.0
 
 
+@dataclass(frozen=True)
+class _Order:
+    """What a worker is asked to evaluate: the episodes of its share, by their places in the plan."""
+
+    worker: str
+    share: list[int]
+    message: EvaluationOrder
+
+
 class Coordinator:
     """The coordinator's loop.
 
@@ -79,7 +90,8 @@ class Coordinator:
         start = new_incarnation()
         self._presence = Presence(control, options.run, "elite", options.name, start)
         self._envelope = Envelope("elite", options.name, start, 1).encode()
-        self._leads, self._claimed, self._granted = False, 0.0, -LEASE_SECONDS
+        self._leads, self._claimed, self._granted = False, -CLAIM_SECONDS, -LEASE_SECONDS
+        self._claiming: Running[bytes | None] | None = None
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
         self._fence = EpochFence()
@@ -88,50 +100,51 @@ class Coordinator:
         self._patience = ANSWER_SECONDS
         self._reported = 0.0
 
-    def run(self, stop: StopSignal) -> None:
-        """Coordinate until a stop signal comes or the run is finished."""
+    def run(self, stop: StopSignal) -> Loop[None]:
+        """Return the loop that coordinates until a stop signal comes or the run is finished."""
         while not stop:
-            self._listen()
+            yield from self._pause()
             now = self._now
             if now is not None and now.state == "finished":
                 break
-            self._claim()
-            if (
-                self._leads
-                and now is not None
-                and now.state == "training"
-                and self._schedule.is_due(now.events, now.episodes)
-            ):
-                self._hold_event(now, stop)
-            time.sleep(IDLE_SECONDS)
-            if time.monotonic() - self._reported >= REPORT_SECONDS:
-                self._report()
+            due = now is not None and now.state == "training" and self._schedule.is_due(now.events, now.episodes)
+            if now is not None and due and self._leads:
+                yield from self._hold_event(now, stop)
         log(f"coordinator {self._options.name} ends.")
         self._report()
 
+    def _pause(self, seconds: float = IDLE_SECONDS) -> Loop[None]:
+        """Wait; meanwhile listen, renew the claim to the lead, and report."""
+        end = monotonic() + seconds
+        while True:
+            yield IDLE_SECONDS
+            self._listen()
+            self._claim()
+            if monotonic() - self._reported >= REPORT_SECONDS:
+                self._report()
+            if monotonic() >= end:
+                return
+
     def _claim(self) -> None:
-        """Claim the lead from the learner, or renew the claim, every CLAIM_SECONDS."""
-        if time.monotonic() - self._claimed < CLAIM_SECONDS:
-            return
-        key, payload = keys.COMMAND.key(self._options.run, verb="lead"), CommandMessage(self._options.name).encode()
-        self._claimed = time.monotonic()
+        """Claim the lead from the learner, or renew the claim, every CLAIM_SECONDS; a busy learner answers late."""
+        if self._claiming is None and monotonic() - self._claimed >= CLAIM_SECONDS:
+            key, payload = keys.COMMAND.key(self._options.run, verb="lead"), CommandMessage(self._options.name).encode()
+            self._claimed = monotonic()
+            self._claiming = Running(self._bus.asking(key, payload, LEASE_SECONDS, self._envelope))
         try:
-            answer = self._bus.ask(key, payload, LEASE_SECONDS, self._envelope)
-            # A busy learner answers late, and a claim that it has granted holds meanwhile.
-            leads = self._holds_lease() if answer is None else ReceiptMessage.decode(answer).done
-            if answer is not None:
-                self._granted = self._claimed if leads else -LEASE_SECONDS
+            if self._claiming is not None and self._claiming.step():
+                answer, self._claiming = self._claiming.result, None
+                if answer is not None:
+                    self._granted = self._claimed if ReceiptMessage.decode(answer).done else -LEASE_SECONDS
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
             log(f"coordinator: the learner does not grant the lead: {error}")
-            leads = False
+            self._claiming, self._granted = None, -LEASE_SECONDS
+        leads = monotonic() - self._granted < LEASE_SECONDS
         if leads != self._leads:
             log(f"coordinator {self._options.name} {'leads' if leads else 'stands by'}.")
         self._leads = leads
-
-    def _holds_lease(self) -> bool:
-        return time.monotonic() - self._granted < LEASE_SECONDS
 
     def _listen(self) -> None:
         for sample in self._tokens.drain():
@@ -151,45 +164,47 @@ class Coordinator:
             if self._fence.admits(message.epoch, 0 if self._now is None else self._now.epoch):
                 self._now = message
 
-    def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> None:
+    def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> Loop[None]:
         number = now.events + 1
         due = self._schedule.due_episode(number)
-        found = self._evaluate(number, now, stop)
+        found = yield from self._evaluate(number, now, stop)
         if found is None or due is None:
             return
         rewards, version = found
         event = decide(self._team, self._config.elite, number, version, due, rewards)
         message = ImitationMessage.of(event, now.epoch)
-        if self._deliver(message, stop):
+        if (yield from self._deliver(message, stop)):
             self._announcer.put(message.encode())
             self._last = event
             elites = ", ".join(f"{g.name} {e}" for g, e in zip(self._team.groups, event.elites, strict=True))
             log(f"coordinator: event {number} is applied with rate {event.rate:.3g}; elites: {elites}.")
-        self._await_applied(number, stop)
+        deadline = monotonic() + APPLIED_SECONDS
+        while not stop and self._leads and monotonic() < deadline and self._now is not None:
+            if self._now.events >= number:
+                return
+            yield from self._pause()
 
-    def _deliver(self, message: ImitationMessage, stop: StopSignal) -> bool:
+    def _deliver(self, message: ImitationMessage, stop: StopSignal) -> Loop[bool]:
         """Ask the learner to apply the event; return whether it applied exactly this one.
 
         Only then may the event be announced. An event of this number that the learner had already applied may be a
         different one: if its answer to an earlier delivery was lost, a new evaluation may have chosen other elites.
         A learner on policy answers between two iterations, and the lead must not be lost meanwhile.
-
-        Raises:
-            CancelledError: a stop signal came.
         """
-
-        def again(waited: float) -> bool:
-            if stop:
-                raise CancelledError(f"event {message.event} was given up, because this process ends.")
-            self._claim()
-            return False
-
+        key = keys.IMITATION.key(self._options.run)
+        asked = Running(self._bus.asking(key, message.encode(), DELIVER_SECONDS, self._envelope))
         try:
-            key = keys.IMITATION.key(self._options.run)
-            answer = self._bus.ask(key, message.encode(), DELIVER_SECONDS, self._envelope, again)
+            while not asked.step():
+                if stop:
+                    log(f"event {message.event} was given up, because this process ends.")
+                    return False
+                yield from self._pause()
+            answer = asked.result
             receipt = None if answer is None else ReceiptMessage.decode(answer)
             if answer is None:
                 log(denial(self._bus, self._options.run, key) or f"coordinator: event {message.event} got no answer.")
+        except BusClosedError:
+            raise
         except (BusError, ProtocolError) as error:
             log(f"coordinator: event {message.event}: {error}")
             return False
@@ -197,49 +212,35 @@ class Coordinator:
             log(f"coordinator: the learner refused event {message.event}: {receipt.reason}")
         return receipt is not None and receipt.done and not receipt.reason
 
-    def _await_applied(self, number: int, stop: StopSignal) -> None:
-        deadline = time.monotonic() + (5.0 if self._leads else 0.0)
-        while not stop and time.monotonic() < deadline:
-            self._listen()
-            self._claim()
-            if self._now is not None and self._now.events >= number:
-                return
-            time.sleep(IDLE_SECONDS)
-
-    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> tuple[list[Float32], int] | None:
+    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> Loop[tuple[list[Float32], int] | None]:
         """Return each episode's step rewards in plan order and the oldest version evaluated, or None if abandoned."""
         farms, episodes = evaluation_plan(self._config, event)
         found: dict[int, Float32] = {}
         versions: list[int] = []
         silent: set[str] = set()
         while len(found) < len(farms):
-            self._listen()
             if stop or not self._workers or (self._now is not None and self._now.epoch != now.epoch):
                 return None
             workers = sorted(self._workers - silent) or sorted(self._workers)
             missing = [index for index in range(len(farms)) if index not in found]
             shares = [missing[k :: len(workers)] for k in range(len(workers))]
             orders = [
-                (
-                    worker,
-                    share,
-                    EvaluationOrder(now.epoch, event, now.version, _pick(farms, share), _pick(episodes, share)),
-                )
+                _Order(worker, share, EvaluationOrder(now.epoch, event, now.version, *_picked(share, farms, episodes)))
                 for worker, share in zip(workers, shares, strict=True)
                 if share
             ]
-            started = time.monotonic()
-            answers = self._ask_all(orders, versions, stop)
+            started = monotonic()
+            answers = yield from self._ask_all(orders, versions, stop)
             found.update(answers)
-            late = [worker for worker, share, _ in orders if share[0] not in answers]
-            waited = time.monotonic() - started
+            late = [order.worker for order in orders if order.share[0] not in answers]
+            waited = monotonic() - started
             if late and not stop:
-                self._note_late(event, late, silent, len(orders), waited)
+                yield from self._note_late(event, late, silent, len(orders), waited)
             elif not late:
                 self._patience = min(self._patience, max(ANSWER_SECONDS, 2.0 * waited))
         return [found[index] for index in range(len(farms))], min(versions)
 
-    def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
+    def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> Loop[None]:
         """Exclude workers that did not answer from the next attempts; if nobody answered, lengthen the time limit."""
         self._failures += len(late)
         log(f"coordinator: event {event}: no evaluation after {waited:.1f} s from {', '.join(late)}; trying again.")
@@ -249,48 +250,42 @@ class Coordinator:
             if waited >= self._patience:
                 self._patience = min(2.0 * self._patience, LONGEST_SECONDS)
             else:
-                time.sleep(RETRY_SECONDS)
-        self._report()
+                yield from self._pause(RETRY_SECONDS)
 
-    def _ask_all(
-        self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
-    ) -> dict[int, Float32]:
+    def _ask_all(self, orders: Sequence["_Order"], versions: list[int], stop: StopSignal) -> Loop[dict[int, Float32]]:
+        """Send the orders, and return the rewards of those that were answered in time, by the episode's index."""
         answers: dict[int, Float32] = {}
-        # No daemon threads: after a stop they run until the bus closes, and the process must not end before them.
-        threads = [
-            threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions))
-            for worker, share, order in orders
-        ]
-        for thread in threads:
-            thread.start()
-        while not stop and any(thread.is_alive() for thread in threads):
-            self._claim()
-            time.sleep(IDLE_SECONDS)
-        return dict(answers) if not stop else {}
+        asked = [(order, Running(self._ask(order))) for order in orders]
+        while asked and not stop:
+            yield from self._pause()
+            for order, running in list(asked):
+                if running.step():
+                    asked.remove((order, running))
+                    if (result := running.result) is not None:
+                        versions.append(result.version)
+                        lengths = zip(order.share, result.reward, result.steps.tolist(), strict=True)
+                        answers.update({index: reward[:steps] for index, reward, steps in lengths})
+        return {} if stop else answers
 
-    def _ask_one(
-        self, worker: str, share: list[int], order: EvaluationOrder, answers: dict[int, Float32], versions: list[int]
-    ) -> None:
-        key = keys.EVALUATION.key(self._options.run, worker=worker)
+    def _ask(self, order: "_Order") -> Loop[EvaluationResult | None]:
+        key = keys.EVALUATION.key(self._options.run, worker=order.worker)
         try:
-            answer = self._bus.ask(key, order.encode(), self._patience)
+            answer = yield from self._bus.asking(key, order.message.encode(), self._patience)
             if answer is None:
-                return
+                return None
             result = EvaluationResult.decode(answer)
         except BusClosedError:
-            return
+            raise
         except (BusError, ProtocolError) as error:
-            log(f"coordinator: worker {worker} did not evaluate: {error}")
-            return
-        if result.event != order.event or not _fits(result, len(share), self._team):
-            log(f"coordinator: worker {worker} answered with an evaluation that does not fit.")
-            return
-        versions.append(result.version)
-        lengths = zip(result.reward, result.steps.tolist(), strict=True)
-        answers.update(dict(zip(share, (reward[:steps] for reward, steps in lengths), strict=True)))
+            log(f"coordinator: worker {order.worker} did not evaluate: {error}")
+            return None
+        if result.event != order.message.event or not _fits(result, len(order.share), self._team):
+            log(f"coordinator: worker {order.worker} answered with an evaluation that does not fit.")
+            return None
+        return result
 
     def _report(self) -> None:
-        self._reported = time.monotonic()
+        self._reported = monotonic()
         last = self._last
         values = {
             "workers": sorted(self._workers),
@@ -315,8 +310,8 @@ def _fits(result: EvaluationResult, episodes: int, team: TeamSpec) -> bool:
     return bool((steps >= 1).all() and (steps <= reward.shape[1]).all() and np.isfinite(reward).all())
 
 
-def _pick(values: Sequence[int], indices: Sequence[int]) -> tuple[int, ...]:
-    return tuple(values[index] for index in indices)
+def _picked(indices: Sequence[int], *columns: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    return (tuple(values[index] for index in indices) for values in columns)
 
 
 def serve(options: CoordinatorOptions) -> None:
@@ -330,7 +325,7 @@ def serve(options: CoordinatorOptions) -> None:
     stop = StopSignal()
     stop.install()
     with connect(options.endpoint, "control", stop, options.patience) as control:
-        answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
+        answer = run(fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0))
         if answer is not None:
             config, team = read_saved(answer.toml), TeamSpec.from_dict(answer.team)
-            Coordinator(options, config, team, control).run(stop)
+            run(Coordinator(options, config, team, control).run(stop))

@@ -5,10 +5,10 @@ directory on a machine whose clock was set back has a lower epoch than its prede
 sends, processes follow it after a while.
 """
 
-import time
 from collections.abc import Callable
 from typing import Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.log import log
 
 PATIENCE_SECONDS: Final = 10.0
@@ -25,7 +25,7 @@ class EpochFence:
         alarm: a sentence while a learner with a lower epoch is ignored, else empty.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self._lower_since: float | None = None
         self._logged = 0

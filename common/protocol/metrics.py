@@ -25,7 +25,7 @@ class Metric:
 
 
 _STEPS: Final = "environment steps"
-_STATE: Final = Metric("state", "", "training, draining or finished; of a worker also starting or unknown")
+_STATE: Final = Metric("state", "", "training, draining or finished; of a worker also starting")
 _ADMISSION: Final = (
     Metric("descriptors", "", "open file descriptors, of a process that listens; half of the limit raises an alarm"),
     Metric(

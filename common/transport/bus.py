@@ -18,7 +18,9 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
+from eia_sec.common.loops import Loop, run
 from eia_sec.common.text import printable
 from eia_sec.common.transport.credentials import Credentials
 from eia_sec.common.transport.endpoint import Endpoint, Lane
@@ -242,7 +244,18 @@ class Bus:
         attachment: bytes = b"",
         again: Callable[[float], bool] = lambda waited: False,
     ) -> bytes | None:
-        """Send a request and wait for its answer.
+        """Send a request and wait for its answer, see `asking`."""
+        return run(self.asking(key, payload, timeout, attachment, again))
+
+    def asking(
+        self,
+        key: str,
+        payload: bytes,
+        timeout: float,
+        attachment: bytes = b"",
+        again: Callable[[float], bool] = lambda waited: False,
+    ) -> Loop[bytes | None]:
+        """Return the loop that sends a request and waits for its answer.
 
         Args:
             key: a concrete key.
@@ -259,9 +272,9 @@ class Bus:
             BusError: when the server refused; the message holds its reason.
         """
         asked = [self._request(key, payload, timeout, attachment)]
-        started = newest = time.monotonic()
+        started = newest = monotonic()
         pause = 0.0002
-        while asked and (now := time.monotonic()) - started < timeout + 1.0:
+        while asked and (now := monotonic()) - started < timeout + 1.0:
             if again(now - newest):
                 asked.append(self._request(key, payload, timeout, attachment))
                 newest = now
@@ -276,7 +289,7 @@ class Bus:
             if self._closed.is_set():
                 raise BusClosedError("the bus was closed before a request was answered.")
             if asked:
-                time.sleep(pause)
+                yield pause
                 pause = min(pause * 1.5, POLL_SECONDS)
         return None
 

@@ -1,11 +1,11 @@
 """The newest checked report of one process, and the counters from which its rates are computed."""
 
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.protocol.messages import MetricMessage
 from eia_sec.deploy.monitor.environment_labels import plotted, type_label
@@ -52,7 +52,7 @@ class ProcessReport:
     missed: int = 0
     alive: bool = True
     announced: bool = False
-    change: float = field(default_factory=time.monotonic)
+    change: float = field(default_factory=monotonic)
     _track: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def follow(self, role: str, message: MetricMessage, version: int, now: float) -> None:

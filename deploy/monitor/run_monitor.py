@@ -1,10 +1,10 @@
 """The state of a run as a plain subscriber sees it: metric messages and liveliness tokens, put into a snapshot."""
 
-import time
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import ProtocolError, SchemaError
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, MetricMessage
@@ -61,7 +61,7 @@ class RunMonitor:
 
     def update(self) -> None:
         """Process the messages that have arrived."""
-        now = time.monotonic()
+        now = monotonic()
         for sample in self._tokens.drain():
             try:
                 variables = keys.parse(sample.key).variables
@@ -235,7 +235,7 @@ class RunMonitor:
             behind=max(0, int(learner["version"]) - seen.version) if follows else None,
             episodes=int(values["episodes"]) if "episodes" in values else None,
             queue=int(queue) if queue is not None else None,
-            age=time.monotonic() - seen.at if message else 0.0,
+            age=monotonic() - seen.at if message else 0.0,
             alive=seen.alive,
             ledger=ledger,
             waits=seen.waits() if role == "rollout" else None,

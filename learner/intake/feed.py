@@ -1,10 +1,11 @@
 """Moves accepted chunks from the receiver into replay, each once, together with its ledger."""
 
 import queue
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from eia_sec.common.clock import monotonic
+from eia_sec.common.loops import Loop
 from eia_sec.common.protocol.messages import ChunkAck
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.learner.intake.arrival import Arrival
@@ -53,26 +54,30 @@ class ExperienceFeed:
             except queue.Empty:
                 return
 
-    def absorb_next(self, seconds: float) -> Arrival | None:
-        """Absorb the next chunk; return it, or None when none arrives in about this time."""
-        arrival = self._receiver.next_arrival(seconds)
-        if arrival is not None:
-            self._absorb(arrival)
+    def absorb_next(self, seconds: float = 0.0) -> Loop[Arrival | None]:
+        """Return the loop that absorbs the next chunk and returns it, or None when none arrives in about this time."""
+        if self._receiver.arrivals.empty():
+            yield seconds
+        try:
+            arrival = self._receiver.arrivals.get_nowait()
+        except queue.Empty:
+            return None
+        self._absorb(arrival)
         return arrival
 
-    def drain(self, between: Callable[[], None]) -> None:
-        """Absorb what workers still deliver, DRAINED_CHUNKS at most, until they are silent.
+    def drain(self, between: Callable[[], None]) -> Loop[None]:
+        """Return the loop that absorbs what workers still deliver, DRAINED_CHUNKS at most, until they are silent.
 
         Args:
             between: called after each wait.
         """
-        started = last = time.monotonic()
+        started = last = monotonic()
         taken = 0
-        while (now := time.monotonic()) - started < DRAIN_SECONDS and now - last < QUIET_SECONDS:
+        while (now := monotonic()) - started < DRAIN_SECONDS and now - last < QUIET_SECONDS:
             if taken >= DRAINED_CHUNKS:
                 return
-            if self.absorb_next(0.02) is not None:
-                last = time.monotonic()
+            if (yield from self.absorb_next(0.02)) is not None:
+                last = monotonic()
                 taken += 1
             between()
 

@@ -14,12 +14,12 @@ back, first come first served, while the chunks that are being flown fill the bu
 
 import statistics
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.learner.intake.limits import IntakeLimits
 
@@ -68,7 +68,7 @@ class IterationRoom:
     """
 
     def __init__(
-        self, limits: IntakeLimits, version: int, gate: threading.Lock, clock: Callable[[], float] = time.monotonic
+        self, limits: IntakeLimits, version: int, gate: threading.Lock, clock: Callable[[], float] = monotonic
     ) -> None:
         self._limits, self._version, self._gate, self._clock = limits, version, gate, clock
         self._steps: int | None = None

@@ -4,10 +4,11 @@ A request is invalid when it cannot be read or used, and also when it is repeate
 honest workers send some of these, but not many in a row.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
+
+from eia_sec.common.clock import monotonic
 
 LIMIT: Final = 20
 """Invalid requests in a row after which a worker is blocked."""
@@ -34,7 +35,7 @@ class PeerPenalties:
         clock: returns monotonic seconds; tests replace it.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self._accounts: dict[str, _Account] = {}
         self._forgotten = 0

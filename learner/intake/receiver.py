@@ -2,7 +2,6 @@
 
 import queue
 import threading
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ from eia_sec.common.errors import ProtocolError, SchemaError
 from eia_sec.common.history.history import Entry, History
 from eia_sec.common.incarnation import plausible
 from eia_sec.common.log import log
+from eia_sec.common.loops import Loop
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
 from eia_sec.common.protocol.chunk_rules import ChunkRules
@@ -50,7 +50,7 @@ WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
 
 
 class Receiver:
-    """Receives chunks from a server in its own thread and puts them into a bounded queue.
+    """Receives chunks and puts them into a bounded queue; `receive` is a loop for a thread of its own.
 
     The queue applies backpressure: while it is full, answers are late, and workers wait for them.
 
@@ -65,6 +65,9 @@ class Receiver:
         throttle: requests of blocked workers; the receiver's owner must call its `release` regularly.
         server: where chunks arrive.
         gate: lock held while a chunk is booked and queued, so that ledger and queue can be read together.
+        dealt_with: set when a request has been dealt with, or waits for room. It is not set for each chunk: two threads
+            that exchange Python's lock for every chunk spend more time on that than on chunks.
+        failed: whether `receive` has ended with an error, so that no more chunks can be received.
         required_version: parameter version that a worker must hold before it continues (lockstep), else 0.
         room: the steps that the running iteration still takes in; chunks beyond them wait.
 
@@ -103,30 +106,14 @@ class Receiver:
         self._team, self._rules, self._lockstep = team, rules, lockstep
         self._episodes = EpisodeTracker(rules)
         self._met: dict[str, int] = {}
-        self._closing, self._dealt_with = threading.Event(), threading.Event()
+        self.dealt_with, self._closing, self.failed = threading.Event(), False, False
         self._logged = 0
         self._owed: OwedAnswer | None = None
-        self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
-        self._thread.start()
-
-    def next_arrival(self, seconds: float) -> Arrival | None:
-        """Return the next chunk, or None when none arrives within this time, or a little less.
-
-        Only one thread may call it. A whole request or a full queue wakes it, not each chunk: two threads that exchange
-        Python's lock for every chunk spend more time on that than on chunks.
-        """
-        with suppress(queue.Empty):
-            return self.arrivals.get_nowait()
-        self._dealt_with.wait(seconds)
-        self._dealt_with.clear()
-        with suppress(queue.Empty):
-            return self.arrivals.get_nowait()
-        return None
 
     def close(self) -> None:
         """Accept no more chunks; every accepted one is in the queue when this returns."""
         with self.gate:
-            self._closing.set()
+            self._closing = True
         self.room.lift()
 
     def require_version(self, version: int) -> None:
@@ -146,11 +133,6 @@ class Receiver:
             queued = sum(arrival.chunk.rows.steps for arrival in list(self.arrivals.queue))
         return abs(int(accepted - absorbed - queued)) + unclosed
 
-    @property
-    def alive(self) -> bool:
-        """Whether the receiving thread runs."""
-        return self._thread.is_alive()
-
     def metrics(self) -> dict[str, Any]:
         """Return the metrics of the intake."""
         return {
@@ -163,26 +145,26 @@ class Receiver:
             "flights_given_up": self.room.given_up,
         }
 
-    def join(self) -> None:
-        """Accept no more chunks and wait for the thread to end; the bus must be closed.
+    def receive(self) -> Loop[None]:
+        """Return the loop that deals with one request after the other, until the bus is closed.
 
-        The caller no longer empties the queue, so without `close` a thread that waits for room would wait forever.
+        It waits in the server, and pauses while there is no room. Who no longer empties the queue must call `close`.
         """
-        self.close()
-        self._thread.join()
+        try:
+            for incoming in self.server:
+                try:
+                    yield from self._receive(incoming)
+                except ProtocolError as error:
+                    self.malformed += 1
+                    self._log(f"dropped a request on {incoming.key}: {error}")
+                    incoming.refuse(str(error))
+                if not self.arrivals.empty():
+                    self.dealt_with.set()
+        except Exception:
+            self.failed = True
+            raise
 
-    def _run(self) -> None:
-        for incoming in self.server:
-            try:
-                self._receive(incoming)
-            except ProtocolError as error:
-                self.malformed += 1
-                self._log(f"dropped a request on {incoming.key}: {error}")
-                incoming.refuse(str(error))
-            if not self.arrivals.empty():
-                self._dealt_with.set()
-
-    def _receive(self, incoming: Incoming) -> None:
+    def _receive(self, incoming: Incoming) -> Loop[None]:
         worker = keys.parse(incoming.key).variables.get("worker", "")
         if (refusal := self.peer_penalties.refusal(worker)) is not None:
             self.throttle.hold(incoming, refusal)
@@ -202,7 +184,8 @@ class Receiver:
             raise ProtocolError("a lockstep run accepts one chunk at a time.")
         verdicts: list[Verdict] = []
         for index, data in enumerate(parts):
-            verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, incoming))
+            numbered = replace(sender, sequence=sender.sequence + index)
+            verdicts.append((yield from self._judge(numbered, delivery, data, incoming)))
             if verdicts[-1][0] not in SETTLED:
                 break
         if not (self._lockstep and self._owes(incoming, sender, verdicts[0])):
@@ -234,7 +217,7 @@ class Receiver:
             raise ProtocolError(f"the learner already has accounts of {MOST_WORKERS} workers.")
         return sender
 
-    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Verdict:
+    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Loop[Verdict]:
         """Check one chunk of a delivery, and book and queue it if it is valid.
 
         Args:
@@ -263,7 +246,7 @@ class Receiver:
         except ProtocolError as error:
             self._bad(sender.name, str(error))
             return self._refuse(sender, error)
-        if not self._await_room():
+        if not (yield from self._await_room()):
             return "closed", ""
         with self.gate:
             sender = replace(sender, version=self.room.version_of(message.version))
@@ -272,21 +255,22 @@ class Receiver:
             self._record_taken("refused", sender, counts, self.ledger.refuse_aged(sender, *counts))
             self._settle(sender, since)
             return "refused", refusal
-        verdict = self._queue(sender, chunk, counts, OwedAnswer(incoming) if self._lockstep else None)
+        owed = OwedAnswer(incoming) if self._lockstep else None
+        verdict = yield from self._queue(sender, chunk, counts, owed)
         if verdict == TAKEN:
             self._settle(sender, since)
         return verdict
 
-    def _await_room(self) -> bool:
+    def _await_room(self) -> Loop[bool]:
         """Wait until the running iteration takes in a chunk; return False if no more chunks are accepted."""
         while True:
             with self.gate:
-                if self._closing.is_set():
+                if self._closing:
                     return False
                 if self.room.is_open():
                     return True
-            self._dealt_with.set()
-            self._closing.wait(FULL_SECONDS)
+            self.dealt_with.set()
+            yield FULL_SECONDS
 
     def _settle(self, sender: Envelope, since: NDArray[np.int64]) -> None:
         """Remember the worker of a whole chunk, and its environments' running episodes."""
@@ -354,11 +338,11 @@ class Receiver:
             self._log(f"worker {sender.name} can no longer deliver {lost} steps from before chunk {sender.sequence}.")
         self._record(verdict, sender, *counts)
 
-    def _queue(self, sender: Envelope, chunk: Chunk, counts: Counts, owed: OwedAnswer | None) -> Verdict:
+    def _queue(self, sender: Envelope, chunk: Chunk, counts: Counts, owed: OwedAnswer | None) -> Loop[Verdict]:
         """Book a chunk and put it into the queue, as soon as there is room."""
         while True:
             with self.gate:
-                if self._closing.is_set():
+                if self._closing:
                     return "closed", ""
                 if not self.arrivals.full():
                     # Only this thread adds to the queue, so there is still room.
@@ -374,8 +358,8 @@ class Receiver:
                     self.room.take(counts[0])
                     self.arrivals.put_nowait(Arrival(chunk, sender, self.ledger.now(), owed))
                     return TAKEN
-            self._dealt_with.set()
-            self._closing.wait(FULL_SECONDS)
+            self.dealt_with.set()
+            yield FULL_SECONDS
 
     def _bad(self, worker: str, reason: str) -> None:
         if self.peer_penalties.bad(worker, reason):

@@ -1,12 +1,12 @@
 """Delays refusals, so that a peer that waits for its answers cannot flood the learner."""
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.transport.bus import Incoming
 
 HOLD_SECONDS: Final = 5.0
@@ -37,7 +37,7 @@ class Throttle:
         clock: returns monotonic seconds; tests replace it.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self.turned_away = 0
         self._clock = clock
         self._held: deque[_Held] = deque()

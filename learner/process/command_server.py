@@ -1,9 +1,9 @@
 """Answers the commands of other processes: configuration, lead, drain."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import ProtocolError
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
@@ -71,6 +71,6 @@ class CommandServer:
             self.malformed += 1
             incoming.refuse(str(error))
             return
-        granted = self.lease.claim(claimant.name, claimant.incarnation, time.monotonic())
+        granted = self.lease.claim(claimant.name, claimant.incarnation, monotonic())
         holder = self.lease.holder[0] if self.lease.holder else ""
         incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:SHOWN_NAME]} leads.").encode())

@@ -2,11 +2,11 @@
 
 import json
 import os
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.team import TeamSpec
 from eia_sec.learner.process.open_file import names_open_file
@@ -30,13 +30,13 @@ class MetricsLog:
         self._path = None if directory is None else directory / "metrics.jsonl"
         self._file: TextIO | None = None
         self._lost = self._removed = 0
-        self._started = time.monotonic() - elapsed
+        self._started = monotonic() - elapsed
         self._append("")
 
     @property
     def elapsed(self) -> float:
         """Seconds since the run began, without the pauses between its starts."""
-        return time.monotonic() - self._started
+        return monotonic() - self._started
 
     def write(self, kind: str, **values: Any) -> None:
         """Append one record; a record that cannot be written is lost and counted, and the next write tries again."""

@@ -1,9 +1,10 @@
 """How the learner spends its time: training, writing checkpoints, or waiting."""
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Literal
+
+from eia_sec.common.clock import monotonic
 
 Phase = Literal["data", "imitation", "producers", "training", "checkpoint"]
 
@@ -19,20 +20,20 @@ class PhaseTimes:
         self._seconds: dict[str, float] = dict.fromkeys(
             ("data", "imitation", "producers", "training", "checkpoint"), 0.0
         )
-        self._lap = time.monotonic()
+        self._lap = monotonic()
 
     @contextmanager
     def measure(self, phase: Phase) -> Iterator[None]:
         """Add the duration of the `with` block to a phase."""
-        started = time.monotonic()
+        started = monotonic()
         try:
             yield
         finally:
-            self._seconds[phase] += time.monotonic() - started
+            self._seconds[phase] += monotonic() - started
 
     def lap(self, *, producers_wait: bool) -> None:
         """End an iteration of the loop; if workers had to wait, it counts as `producers`."""
-        now = time.monotonic()
+        now = monotonic()
         if producers_wait:
             self._seconds["producers"] += now - self._lap
         self._lap = now

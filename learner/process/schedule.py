@@ -4,9 +4,9 @@ Everything here is a function of the trainer's counters and of the clock reading
 for how many updates are due, and how far collection may lead them, is `updates_due` and `leads` of the trainer.
 """
 
-import time
 from typing import Final, Protocol
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.config import RunConfig
 from eia_sec.common.imitation import ImitationSchedule
 from eia_sec.learner.process.event_deadline import EventDeadline
@@ -69,7 +69,7 @@ class Schedule:
     """
 
     def __init__(self, config: RunConfig, *, await_elite: bool = False, now: float | None = None) -> None:
-        now = time.monotonic() if now is None else now
+        now = monotonic() if now is None else now
         self._episodes, self._await_elite = config.episodes, await_elite
         self._imitation = ImitationSchedule.of(config)
         self.publish_timer = Periodic(config.learner.publish_seconds, now)

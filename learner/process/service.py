@@ -1,11 +1,11 @@
 """The learner process: takes in experience, updates, publishes parameters, reports and writes checkpoints."""
 
-import time
 from pathlib import Path
 from typing import Final
 
 import torch
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.environment import EnvironmentSpec
@@ -13,6 +13,7 @@ from eia_sec.common.errors import BusError, DivergenceError, EiaSecError, Schema
 from eia_sec.common.history.history import History
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.log import log
+from eia_sec.common.loops import Loop, in_thread, run
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_rules import ChunkRules
@@ -62,6 +63,7 @@ class Learner:
 
     Attributes:
         trainer: networks, replay and counters.
+        receiver: where chunks arrive; another thread runs `Receiver.receive`.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class Learner:
         if options.listen:
             crowding = AdmissionSource(options.endpoint)
             self._reporter.add(crowding.metrics, crowding.alarms)
-        self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, time.monotonic())])
+        self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, monotonic())])
         self._log_begin()
 
     def _log_begin(self) -> None:
@@ -129,30 +131,25 @@ class Learner:
         absorbed = ledger.now()
         rules, lockstep, version = ChunkRules.of(config, environment), self._options.lockstep, self.trainer.version
         team, limits = environment.team, IntakeLimits.of(config)
-        self._receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version)
+        self.receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version)
         self._open_iteration()
-        self._feed = ExperienceFeed(self._receiver, self.trainer, absorbed, self._reporter.log_episodes)
+        self._feed = ExperienceFeed(self.receiver, self.trainer, absorbed, self._reporter.log_episodes)
 
-    def run(self, stop: StopSignal) -> bool:
-        """Train until the run's episodes are done, a signal arrives or a command asks to drain.
+    def run(self, stop: StopSignal) -> Loop[bool]:
+        """Return the loop that trains until the run's episodes are done, a signal arrives or a command asks to drain.
 
-        Returns:
-            Whether the run is finished.
+        It returns whether the run is finished.
         """
         self._publish()
         step = self._lockstep_step if self._options.lockstep else self._step
         while not (stop or self._commands.draining or self._schedule.finished(self.trainer)):
-            step(stop)
+            yield from step(stop)
             self._do_what_is_due()
         finished = self._schedule.finished(self.trainer)
-        self._end("finished" if finished else "draining")
+        yield from self._end("finished" if finished else "draining")
         return finished
 
-    def join(self) -> None:
-        """Wait for the receiving thread to end; close the bulk lane first."""
-        self._receiver.join()
-
-    def _step(self, stop: StopSignal) -> None:
+    def _step(self, stop: StopSignal) -> Loop[None]:
         """Take in what has arrived, then update; wait for experience or an imitation event if neither is possible."""
         self._feed.absorb_waiting(lambda: self._schedule.takes_in(self.trainer, awaits_event=self._awaits_event()))
         self._open_iteration()
@@ -160,15 +157,15 @@ class Learner:
         if updates > 0:
             self._train(updates)
         elif self._awaits_event():
-            self._wait_for_imitation()
+            yield from self._wait_for_imitation()
         else:
             with self._times.measure("data"):
-                self._feed.absorb_next(DATA_SECONDS)
+                yield from self._feed.absorb_next(DATA_SECONDS)
 
-    def _lockstep_step(self, stop: StopSignal) -> None:
+    def _lockstep_step(self, stop: StopSignal) -> Loop[None]:
         """Take in one chunk, do all updates that it allows, publish, wait for due imitation events, acknowledge."""
         with self._times.measure("data"):
-            arrival = self._feed.absorb_next(DATA_SECONDS)
+            arrival = yield from self._feed.absorb_next(DATA_SECONDS)
         if arrival is None:
             return
         self._open_iteration()
@@ -176,14 +173,14 @@ class Learner:
         self._publish()
         while self._schedule.event_due(self.trainer) and not (stop or self._commands.draining):
             self._do_what_is_due()
-            self._wait_for_imitation()
-        self._receiver.require_version(self.trainer.version)
+            yield from self._wait_for_imitation()
+        self.receiver.require_version(self.trainer.version)
         self._feed.answer(arrival)
 
     def _open_iteration(self) -> None:
         """Let the receiver take in chunks for the iteration that they will be learned from in."""
         if (wanted := self.trainer.iteration) is not None:
-            self._receiver.room.open(*wanted, updating=self.trainer.updates_due() > 0)
+            self.receiver.room.open(*wanted, updating=self.trainer.updates_due() > 0)
 
     def _train(self, updates: int) -> None:
         before = self.trainer.updates
@@ -194,18 +191,18 @@ class Learner:
 
     def _awaits_event(self) -> bool:
         has_coordinator = self._commands.lease.holder is not None
-        return self._schedule.awaits_event(self.trainer, has_coordinator=has_coordinator, now=time.monotonic())
+        return self._schedule.awaits_event(self.trainer, has_coordinator=has_coordinator, now=monotonic())
 
-    def _wait_for_imitation(self) -> None:
+    def _wait_for_imitation(self) -> Loop[None]:
         with self._times.measure("imitation"):
-            time.sleep(IMITATION_SECONDS)
+            yield IMITATION_SECONDS
 
     def _do_what_is_due(self) -> None:
         self._serve_requests()
-        now, schedule = time.monotonic(), self._schedule
+        now, schedule = monotonic(), self._schedule
         if (schedule.publish_timer.due(now) or self.trainer.publishes_at_once) and not self._options.lockstep:
             self._publish()
-        if schedule.progress_timer.due(now) or self._receiver.room.window > self._window:
+        if schedule.progress_timer.due(now) or self.receiver.room.window > self._window:
             self._publish_progress()
         if schedule.report_timer.due(now):
             self._report()
@@ -214,9 +211,9 @@ class Learner:
 
     def _serve_requests(self) -> None:
         """Answer commands and imitation events, and check that this learner may go on."""
-        if not self._receiver.alive:
-            raise BusError("the receiving thread has ended; no more chunks can be received.")
-        if self._receiver.repeats:
+        if self.receiver.failed:
+            raise BusError("the receiving thread has failed; no more chunks can be received.")
+        if self.receiver.repeats:
             raise UsageError(
                 "the worker of this lockstep run has been restarted, and would repeat its first episodes; "
                 "begin the run again in another folder."
@@ -236,12 +233,12 @@ class Learner:
         self._publish()
 
     def _publish(self) -> None:
-        self._schedule.publish_timer.restart(time.monotonic())
+        self._schedule.publish_timer.restart(monotonic())
         every_turn = self._options.lockstep and not self.trainer.publishes_at_once
         if self._publisher.has_unpublished_changes or every_turn:
             updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
             # Before any worker can fly with it.
-            self._receiver.room.set_version(self.trainer.next_version(), updating=updating)
+            self.receiver.room.set_version(self.trainer.next_version(), updating=updating)
             try:
                 self._publisher.publish_parameters()
             except SchemaError as error:
@@ -257,15 +254,15 @@ class Learner:
         )
 
     def _publish_progress(self) -> None:
-        self._schedule.progress_timer.restart(time.monotonic())
-        self._window = self._receiver.room.window
+        self._schedule.progress_timer.restart(monotonic())
+        self._window = self.receiver.room.window
         self._publisher.publish_progress(self._state, self._window)
 
     def _report(self) -> None:
-        self._schedule.report_timer.restart(time.monotonic())
+        self._schedule.report_timer.restart(monotonic())
         self._storage.require_same_directory()
         self._membership.update()
-        self._receiver.throttle.release()
+        self.receiver.throttle.release()
         self._reporter.report(self._state)
 
     def _checkpoint(self, *, wait: bool = False) -> None:
@@ -273,19 +270,19 @@ class Learner:
             ledger, elapsed = self._feed.ledger, self._reporter.elapsed
             if self._storage.save(self.trainer, ledger, elapsed, self._epoch, wait=wait):
                 self._compaction.on_checkpoint(ledger, failed=bool(self._storage.alarm))
-        self._schedule.checkpoint_timer.restart(time.monotonic())
+        self._schedule.checkpoint_timer.restart(monotonic())
 
-    def _end(self, state: str) -> None:
+    def _end(self, state: str) -> Loop[None]:
         """Absorb chunks in flight, publish and save the final state, and close the files.
 
         Args:
             state: finished or draining.
         """
         self._state = state
-        self._receiver.room.lift()
+        self.receiver.room.lift()
         self._publish_progress()
         if state == "draining" and not self._options.lockstep:
-            self._feed.drain(self._answer_while_draining)
+            yield from self._feed.drain(self._answer_while_draining)
         self._feed.close()
         self._publish()
         self._publish_progress()
@@ -294,7 +291,9 @@ class Learner:
         self._report()
         self._reporter.log_end(state)
         log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")
-        time.sleep(FAREWELL_SECONDS)
+        until = monotonic() + FAREWELL_SECONDS
+        while (left := until - monotonic()) > 0:
+            yield left
         self._commands.answer()
         self._reporter.close()
         self._history.close()
@@ -334,9 +333,12 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
 
     with lane("control") as control, lane("bulk") as bulk:
         learner = Learner(options, config, environment, control, bulk)
+        receiver = learner.receiver
+        receiving = in_thread("receiver", receiver.receive())
         try:
-            return learner.run(stop)
+            return run(learner.run(stop), receiver.dealt_with)
         finally:
             # A thread still inside Zenoh when the interpreter exits would abort the process.
             bulk.close()
-            learner.join()
+            receiver.close()
+            receiving.join()

@@ -1,20 +1,22 @@
 """A worker's view of its learner: the parameters, imitation events and progress that the learner publishes."""
 
-import time
-
+from eia_sec.common.clock import monotonic
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import method_of, read_saved
 from eia_sec.common.errors import ProtocolError, UsageError
 from eia_sec.common.log import log
+from eia_sec.common.loops import Running
 from eia_sec.common.policy_store import PolicyStore
-from eia_sec.common.process import StopSignal, fetch_configuration
+from eia_sec.common.process import fetch_configuration
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.epoch_fence import EpochFence
-from eia_sec.common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
+from eia_sec.common.protocol.messages import ConfigurationMessage, ImitationMessage, ParametersMessage, ProgressMessage
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.bus import Bus
 
+PATIENCE_SECONDS = 5.0
+"""Time between two log lines of the wait for a new learner's configuration."""
 COLLECTING = ("starting", "training")
 """States of a run in which workers collect."""
 
@@ -26,9 +28,10 @@ class LearnerLink:
     and counted. An imitation event changes the actors once, whether it arrives before or after the parameters that
     contain it. `PolicyStore` does both.
 
-    A higher epoch in the progress means that a new learner has taken over. The worker follows it if its configuration
-    is the same, but for what a resumed run may change (`eia_sec.common.config.files.method_of`). It follows a lower
-    epoch only if the higher one has gone silent, see `EpochFence`.
+    A higher epoch in the progress means that a new learner has taken over. The worker asks it for its configuration and
+    follows it if that is the same, but for what a resumed run may change (`eia_sec.common.config.files.method_of`).
+    Until the answer comes, it goes on as before. It follows a lower epoch only if the higher one has gone silent, see
+    `EpochFence`.
 
     Args:
         control: the control lane.
@@ -36,12 +39,10 @@ class LearnerLink:
         worker: the worker's name.
         config: the run's configuration.
         team: layout of the actors.
-        stop: ends the wait for a new learner's configuration.
 
     Attributes:
         store: the actors.
-        state: state of the run: starting, training, draining or finished; unknown when a new learner has taken over
-            whose configuration a worker that ends did not wait for.
+        state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
         window: environment steps that a worker may have under way, as the learner last published.
@@ -49,10 +50,8 @@ class LearnerLink:
         malformed: messages that were dropped.
     """
 
-    def __init__(
-        self, control: Bus, run: str, worker: str, config: RunConfig, team: TeamSpec, stop: StopSignal
-    ) -> None:
-        self._control, self._run, self._worker, self._stop = control, run, worker, stop
+    def __init__(self, control: Bus, run: str, worker: str, config: RunConfig, team: TeamSpec) -> None:
+        self._control, self._run, self._worker = control, run, worker
         self._method = method_of(config)
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
@@ -61,9 +60,11 @@ class LearnerLink:
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
         self.window = NO_LIMIT
-        self.heard_at = time.monotonic()
+        self.heard_at = monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None
+        self._successor: ProgressMessage | None = None
+        self._asked: Running[ConfigurationMessage | None] | None = None
 
     @property
     def alarm(self) -> str:
@@ -73,7 +74,7 @@ class LearnerLink:
     @property
     def silence(self) -> float:
         """Seconds since the learner last published its progress."""
-        return time.monotonic() - self.heard_at
+        return monotonic() - self.heard_at
 
     @property
     def missed(self) -> int:
@@ -84,7 +85,9 @@ class LearnerLink:
         """Process the messages that have arrived; raise UsageError if a new learner has another configuration."""
         try:
             if (sample := self._progress.poll()) is not None:
-                self._follow(ProgressMessage.decode(sample.payload))
+                self._hear(ProgressMessage.decode(sample.payload))
+            if self._asked is not None and self._asked.step():
+                self._meet(self._asked.result)
             if (sample := self._parameters.poll()) is not None:
                 self._offer(ParametersMessage.decode(sample.payload))
             if (sample := self._events.poll()) is not None:
@@ -98,20 +101,32 @@ class LearnerLink:
         self._ignored = message if message.epoch < self.store.epoch else None
         self.store.offer_parameters(message)
 
+    def _hear(self, message: ProgressMessage) -> None:
+        if not self._fence.admits(message.epoch, self.epoch):
+            return
+        if self.epoch in (0, message.epoch):
+            if self._successor is not None and self._successor.epoch < message.epoch:
+                self._successor = None  # it is not the only one that sends
+            self._follow(message)
+        else:
+            self._successor = message
+            self._asked = self._asked or Running(
+                fetch_configuration(self._control, self._run, self._worker, lambda: True, PATIENCE_SECONDS)
+            )
+
+    def _meet(self, answer: ConfigurationMessage | None) -> None:
+        """Follow the new learner if its configuration is the same."""
+        self._asked, message, self._successor = None, self._successor, None
+        if answer is not None and method_of(read_saved(answer.toml)) != self._method:
+            raise UsageError(f"run {self._run} has a new learner with another configuration.")
+        if message is not None:
+            self._follow(message)
+
     def _follow(self, message: ProgressMessage) -> None:
         before = self.epoch
-        if not self._fence.admits(message.epoch, before):
-            return
-        if 0 < before != message.epoch:
-            answer = fetch_configuration(self._control, self._run, self._worker, lambda: not self._stop, 5.0)
-            if answer is None and self._stop:
-                self.state = "unknown"
-                return
-            if answer is not None and method_of(read_saved(answer.toml)) != self._method:
-                raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
         self.window = message.window
-        self.heard_at = time.monotonic()
+        self.heard_at = monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)
             if self._ignored is not None:

@@ -1,15 +1,16 @@
 """Delivery of chunks: a bounded spool, and one request at a time that is resent until the learner has settled it."""
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import BusClosedError, BusError, ProtocolError, UsageError
 from eia_sec.common.history.history import Entry, History
 from eia_sec.common.log import log
+from eia_sec.common.loops import Loop
 from eia_sec.common.process import QUICK_SECONDS
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
@@ -31,6 +32,8 @@ SAME_ERROR_SECONDS = 10.0
 """Pause before the same error is logged again."""
 MOST_UNTAKEN = 5
 """An ending worker gives up on the learner after this many requests in a row that nobody takes."""
+IDLE_SECONDS = 1.0
+"""Pause of a sender with an empty spool; an offer ends it."""
 RETRY_SECONDS = 0.2
 """Pause before unsettled chunks are sent again."""
 
@@ -45,7 +48,7 @@ class _Held:
 
 
 class Sender:
-    """Sends the chunks of the spool in sequence, from a thread of its own.
+    """Sends the chunks of the spool in sequence; `deliver` is a loop for a thread of its own.
 
     A request holds all waiting chunks, oldest first. A chunk leaves the spool once the learner has accepted it, refused
     it or reported it as a duplicate. Nothing is ever dropped: when the spool is full, the worker waits
@@ -75,6 +78,7 @@ class Sender:
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
         key: where requests go.
+        offered: set when there is something to send.
     """
 
     def __init__(
@@ -100,11 +104,9 @@ class Sender:
         self._sequence = 0
         self._last_error, self._last_error_at = "", 0.0
         self._history = history or History(None)
-        self._changed = threading.Condition()
+        self.offered, self._lock = threading.Event(), threading.Lock()
         self._resends_fast = self._ended = False
         self._resend_after = FAST_RESEND_SECONDS
-        self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
-        self._thread.start()
 
     @property
     def full(self) -> bool:
@@ -130,7 +132,7 @@ class Sender:
                 f"worker {self._worker} ends, because no learner would take its experience: {error}"
             ) from error
         sealed = message.encode()
-        with self._changed:
+        with self._lock:
             self._sequence += 1
             self.produced += steps
             number = self._sequence
@@ -139,7 +141,7 @@ class Sender:
             )
             self._history.add(record)
             self._held.append(_Held(number, version, self.produced, steps, sealed))
-            self._changed.notify_all()
+        self.offered.set()
 
     @property
     def spooled(self) -> int:
@@ -151,8 +153,8 @@ class Sender:
         """Return the environment steps that are neither accepted nor rejected yet."""
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
-    def wait_empty(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Wait until the spool is empty; return whether it is.
+    def wait_empty(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> Loop[bool]:
+        """Return the loop that waits until the spool is empty, and returns whether it is.
 
         Gives up after `timeout` seconds, when the learner takes no more chunks, or after MOST_UNTAKEN untaken requests.
 
@@ -161,13 +163,13 @@ class Sender:
             meanwhile: called again and again while this waits.
         """
         self.resend_fast()
-        deadline, before = time.monotonic() + timeout, self.untaken
-        while self._held and not (self.learner_closed or self.replaced) and time.monotonic() < deadline:
+        deadline, before = monotonic() + timeout, self.untaken
+        while self._held and not (self.learner_closed or self.replaced) and monotonic() < deadline:
             before = min(before, self.untaken)
             if self.untaken - before >= MOST_UNTAKEN:
                 break
             meanwhile()
-            time.sleep(0.01)
+            yield 0.01
         return not self._held
 
     def resend_fast(self, wanted: bool = True) -> None:
@@ -175,37 +177,36 @@ class Sender:
         self._resends_fast = wanted
 
     def close(self) -> None:
-        """End the thread; what is still in the spool is not delivered."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
+        """End `deliver`; what is still in the spool is not delivered."""
+        self._ended = True
+        self.offered.set()
         self._bus.close()
-        self._thread.join(timeout=5.0)
 
-    def _run(self) -> None:
-        while not self.replaced:
-            with self._changed:
-                self._changed.wait_for(lambda: self._held or self._ended)
-                if self._ended:
-                    return
+    def deliver(self) -> Loop[None]:
+        """Return the loop that delivers what is offered, until a newer start delivers or this one is closed."""
+        while not (self.replaced or self._ended):
+            with self._lock:
                 waiting = list(islice(self._held, MOST_CHUNKS))
+            if not waiting:
+                yield IDLE_SECONDS
+                continue
             try:
-                settled = self._deliver(waiting[: fitting([len(held.sealed) for held in waiting])])
+                settled = yield from self._deliver(waiting[: fitting([len(held.sealed) for held in waiting])])
             except BusClosedError:
                 return
             if not settled:
                 self.retries += 1
-                time.sleep(RETRY_SECONDS)
+                yield RETRY_SECONDS
 
-    def _deliver(self, batch: list[_Held]) -> bool:
+    def _deliver(self, batch: list[_Held]) -> Loop[bool]:
         """Send chunks, oldest first, and drop the settled ones; return whether all are settled."""
         head = batch[0]
         envelope = Envelope("rollout", self._worker, self._incarnation, head.sequence, head.version)
         flown = max(self.flown, batch[-1].produced)
         payload = to_request([held.sealed for held in batch], head.sequence, flown)
-        started = time.monotonic()
-        ack, answered = self._request(payload, envelope.encode())
-        waited = time.monotonic() - started
+        started = monotonic()
+        ack, answered = yield from self._request(payload, envelope.encode())
+        waited = monotonic() - started
         self.waiting += waited
         self.untaken = 0 if answered or waited >= QUICK_SECONDS else self.untaken + 1
         self.learner_closed = ack is not None and "closed" in ack.verdicts
@@ -216,16 +217,16 @@ class Sender:
         if settled:
             # First: with an empty spool, or with the window, the worker may collect.
             self.required_version = ack.required_version
-        self.window, self.answered_at = ack.window, time.monotonic()
+        self.window, self.answered_at = ack.window, monotonic()
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason)
         return len(settled) >= len(batch)
 
-    def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
+    def _request(self, payload: bytes, attachment: bytes) -> Loop[tuple[ChunkAck | None, bool]]:
         """Return the answer, and whether there was one; a refusal counts."""
         self._resend_after = FAST_RESEND_SECONDS
         try:
-            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._resend_now)
+            answer = yield from self._bus.asking(self.key, payload, self._patience, attachment, self._resend_now)
             return (None if answer is None else ChunkAck.decode(answer)), answer is not None
         except BusClosedError:
             raise
@@ -241,7 +242,7 @@ class Sender:
         return True
 
     def _log_error(self, text: str) -> None:
-        now = time.monotonic()
+        now = monotonic()
         if text != self._last_error or now - self._last_error_at >= SAME_ERROR_SECONDS:
             log(f"worker {self._worker}: {text}")
             self._last_error, self._last_error_at = text, now
@@ -249,7 +250,7 @@ class Sender:
     def _settle(self, held: _Held, verdict: str, reason: str) -> None:
         """Record the verdict and remove the oldest chunk."""
         number, steps = held.sequence, held.steps
-        with self._changed:
+        with self._lock:
             recorded = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
             self._history.add(Entry(recorded, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
@@ -258,4 +259,3 @@ class Sender:
                 log(f"worker {self._worker}: chunk {number} was refused: {reason}")
             else:
                 self.accepted += steps
-            self._changed.notify_all()

@@ -14,19 +14,20 @@ When something goes wrong:
 
 import math
 import threading
-import time
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from eia_sec.common.actors import TeamActors
+from eia_sec.common.clock import monotonic
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import CancelledError, EiaSecError, EnvironmentFaultError, UsageError
 from eia_sec.common.history.history import History, Start
 from eia_sec.common.incarnation import new_incarnation, seconds_ahead
 from eia_sec.common.log import log
+from eia_sec.common.loops import Loop, in_thread, run
 from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import ConfigurationMessage
@@ -90,14 +91,14 @@ class _Times:
     collecting: float = 0.0
     waiting: float = 0.0
     paused: float = 0.0
-    reported: float = field(default_factory=time.monotonic)
+    reported: float = field(default_factory=monotonic)
     polled: float = 0.0
     denied: float = 0.0
     ending: float = 0.0
 
 
 class Worker:
-    """One worker's loop; all its methods run in the main thread, but for `report`.
+    """One worker's loop; all its methods run in the main thread, but for `report` and the deliveries of `sender`.
 
     Args:
         options: how it was started.
@@ -110,6 +111,10 @@ class Worker:
         collector: its environments.
         start: number of this start.
         outages: of its environments.
+
+    Attributes:
+        sender: its chunks; another thread runs `Sender.deliver`.
+        history: what became of them.
 
     Raises:
         UsageError: the learner's team is another one than the environment has here.
@@ -128,7 +133,7 @@ class Worker:
         start: int,
         outages: Outages,
     ) -> None:
-        run, name = options.run, options.name
+        name = options.name
         self._options, self._config, self._control, self._stop = options, config, control, stop
         self._clock_alarm = _clock_alarm(answer.newest_incarnation)
         self._collector, self._outages, self._presence = collector, outages, presence
@@ -136,54 +141,50 @@ class Worker:
         self._cuts_chunks = not answer.lockstep and not config.memory_size
         team = collector.team
         if team.to_dict() != answer.team:
-            raise UsageError(f"the learner of run {run} is for a different team than {config.env.name} has here.")
-        self._history = History(options.history)
-        self._history.add(Start("rollout", name, start))
+            raise UsageError(
+                f"the learner of run {options.run} is for a different team than {config.env.name} has here."
+            )
+        self.history = History(options.history)
+        self.history.add(Start("rollout", name, start))
         patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
         rules = ChunkRules.of(config, collector.environments.spec)
-        self._sender = Sender(bulk, run, name, start, team, rules, patience, self._history)
-        self._learner = LearnerLink(control, run, name, config, team, stop)
-        self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
+        self.sender = Sender(bulk, options.run, name, start, team, rules, patience, self.history)
+        self._learner = LearnerLink(control, options.run, name, config, team)
+        self._gate = CollectionGate(config.rollout, self._learner, self.sender, answer.lockstep)
         self._evaluations = EvaluationService(
-            control, config, run, name, self._learner.store, self._late_for_evaluations
+            control, config, options.run, name, self._learner.store, self._late_for_evaluations
         )
-        self._view_service = ViewService(control, run, name, start, collector, answer.toml)
+        self._view_service = ViewService(control, options.run, name, start, collector, answer.toml)
         self._times, self._reporting = _Times(), threading.Lock()
-        log(f"worker {name} collects for run {run} in {config.rollout.environments} environments.")
+        log(f"worker {name} collects for run {options.run} in {config.rollout.environments} environments.")
 
-    def run(self) -> None:
-        """Collect and deliver until the run is finished or the stop signal comes.
+    def run(self) -> Loop[None]:
+        """Return the loop that collects until the run is finished or the stop signal comes.
 
         Raises:
             ReplacedError: a newer start of this worker has taken its place.
             UsageError: a new learner has another configuration.
         """
-        try:
-            while not self._stop and self._learner.state != "finished":
-                self._turn()
-            left = max(DELIVER_SECONDS, self._seconds_left())
-            if not self._sender.wait_empty(left, self._serve_while_ending):
-                log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
-            steps, state = self._collector.environment_steps, self._learner.state
-            log(f"worker {self._options.name} ends after {steps} steps; the learner is {state}.")
-            self._report()
-        finally:
-            try:
-                self._sender.close()
-            finally:
-                self._history.close()
+        while not self._stop and self._learner.state != "finished":
+            yield from self._turn()
+        left = max(DELIVER_SECONDS, self._seconds_left())
+        if not (yield from self.sender.wait_empty(left, self._serve_while_ending)):
+            log(f"worker {self._options.name}: {self.sender.in_flight} steps were not delivered.")
+        steps, state = self._collector.environment_steps, self._learner.state
+        log(f"worker {self._options.name} ends after {steps} steps; the learner is {state}.")
+        self._report()
 
-    def _turn(self) -> None:
+    def _turn(self) -> Loop[None]:
         self._end_if_replaced()
         self._learner.poll()
-        self._sender.resend_fast(self._learner.state == "draining")
+        self.sender.resend_fast(self._learner.state == "draining")
         self._evaluations.poll()
         self._view_service.poll(self._learner.store.version, *self._exploration())
         actors = self._gate.actors()
         if actors is not None:
             self._collect(actors)
         else:
-            self._wait()
+            yield from self._wait()
         self._report_if_due()
 
     def _serve_while_ending(self) -> None:
@@ -200,29 +201,29 @@ class Worker:
         """Return how long a worker that ends goes on; without limit before it ends."""
         if not self._stop and self._learner.state != "finished":
             return math.inf
-        now = time.monotonic()
+        now = monotonic()
         self._times.ending = self._times.ending or now
         return self._times.ending + DRAIN_SECONDS - now
 
     def _end_if_replaced(self) -> None:
-        if self._sender.replaced:
+        if self.sender.replaced:
             raise ReplacedError(f"worker {self._options.name} ends: a newer start of it delivers to the learner.")
-        if self._history.taken_over:
+        if self.history.taken_over:
             raise ReplacedError(f"worker {self._options.name} ends: another process writes {self._options.history}.")
 
     def _collect(self, actors: TeamActors) -> None:
-        started, version = time.monotonic(), self._learner.store.version
+        started, version = monotonic(), self._learner.store.version
         try:
             chunk = self._collector.collect(actors, *self._exploration(), goes_on=self._goes_on)
         except CancelledError as error:
             log(f"worker {self._options.name}: {error}")
         else:
-            self._sender.flown = self._collector.environment_steps
+            self.sender.flown = self._collector.environment_steps
             if self._is_deliverable(chunk):
-                self._sender.offer(chunk, version)
+                self.sender.offer(chunk, version)
             else:
                 log(f"worker {self._options.name}: {chunk.rows.steps} steps of an unfinished chunk were left behind.")
-        self._times.collecting += time.monotonic() - started
+        self._times.collecting += monotonic() - started
 
     def _is_deliverable(self, chunk: Chunk) -> bool:
         """Return whether a chunk is whole, or may be shorter."""
@@ -237,8 +238,8 @@ class Worker:
         self._report_if_due()
         if not self._cuts_chunks:
             return self._seconds_left() > DELIVER_SECONDS
-        if time.monotonic() - self._times.polled >= POLL_SECONDS:
-            self._times.polled = time.monotonic()
+        if monotonic() - self._times.polled >= POLL_SECONDS:
+            self._times.polled = monotonic()
             self._learner.poll()
         return not self._stop and self._learner.state in COLLECTING
 
@@ -246,16 +247,16 @@ class Worker:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""
         return self._config.exploration_at(self._learner.store.progress, self._learner.store.environment_steps)
 
-    def _wait(self) -> None:
-        began = time.monotonic()
-        time.sleep(IDLE_SECONDS)
-        waited = time.monotonic() - began
+    def _wait(self) -> Loop[None]:
+        began = monotonic()
+        yield IDLE_SECONDS
+        waited = monotonic() - began
         self._times.waiting += waited
         if self._gate.pause_reason:
             self._times.paused += waited
 
     def _report_if_due(self) -> None:
-        if time.monotonic() - self._times.reported >= REPORT_SECONDS:
+        if monotonic() - self._times.reported >= REPORT_SECONDS:
             self._report()
 
     def _report(self) -> None:
@@ -266,10 +267,10 @@ class Worker:
         """Publish the worker's metrics; any thread may call this."""
         with self._reporting:
             self._presence.report(self._metrics(), self._learner.store.version)
-            self._times.reported = time.monotonic()
+            self._times.reported = monotonic()
 
     def _metrics(self) -> dict[str, Any]:
-        times, sender, learner = self._times, self._sender, self._learner
+        times, sender, learner = self._times, self.sender, self._learner
         return {
             "state": learner.state,
             "environment_steps": self._collector.simulated,
@@ -298,16 +299,16 @@ class Worker:
         }
 
     def _alarms(self) -> list[str]:
-        own = (self._history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
+        own = (self.history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
         found = (*own, self._outages.alarm, call_alarm())
         return [text for text in found if text]
 
     def _log_denial(self) -> None:
         """Log why nobody takes the worker's requests, when its certificate is not let in."""
         times, run = self._times, self._options.run
-        if self._sender.untaken >= UNTAKEN and times.reported >= times.denied + DENIED_SECONDS:
+        if self.sender.untaken >= UNTAKEN and times.reported >= times.denied + DENIED_SECONDS:
             times.denied = times.reported
-            if (sentence := denial(self._control, run, self._sender.key)) is not None:
+            if (sentence := denial(self._control, run, self.sender.key)) is not None:
                 log(f"worker {self._options.name}: {sentence}")
 
 
@@ -334,7 +335,7 @@ def serve(options: WorkerOptions) -> None:
         if stop:
             return
     with connect(options.endpoint, "control", stop, options.patience) as control:
-        answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
+        answer = run(fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0))
         if answer is None:
             return
         try:
@@ -373,7 +374,13 @@ def _work(
         ):
             worker = Worker(options, config, answer, control, bulk, stop, presence, collector, start, outages)
             watchdog.speak = worker.report
-            worker.run()
+            deliveries = in_thread("sender", worker.sender.deliver(), worker.sender.offered)
+            try:
+                run(worker.run())
+            finally:
+                worker.sender.close()
+                deliveries.join(5.0)
+                worker.history.close()
     except EnvironmentFaultError as error:
         # No mistake of whoever started it: another start may do better.
         raise EiaSecError(str(error)) from error

@@ -29,7 +29,7 @@ def test_a_start_goes_beyond_an_earlier_one_whose_clock_was_ahead():
 
 def test_a_clock_beyond_all_bounds_gives_a_number_that_is_taken(monkeypatch):
     """Whatever the clock says, an honest start's number is plausible to a learner that knows none."""
-    monkeypatch.setattr("eia_sec.common.incarnation.time.time_ns", lambda: 2**63 - 1)
+    monkeypatch.setattr("eia_sec.common.clock.time.time_ns", lambda: 2**63 - 1)
     assert plausible(new_incarnation(), 0)
     assert plausible(new_incarnation(LATEST), LATEST)
 

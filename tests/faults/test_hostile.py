@@ -36,7 +36,7 @@ def test_every_kind_is_answered_and_no_ledger_is_spoilt():
             honest += 1
             assert door.pass_on(parcel(of(a_chunk(honest), honest), number=honest)).verdict == "accepted"
     totals = receiver.ledger.totals()
-    assert receiver.alive
+    assert not receiver.failed
     assert receiver.ledger.unexplained() == 0
     assert (receiver.ledger.workers["w"].accepted, receiver.ledger.workers["w"].lost) == (honest, 0)
     # A start may say that its spool is full when it ends, and no more than that.

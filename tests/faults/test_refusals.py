@@ -17,7 +17,7 @@ from eia_sec.common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, to_m
 from eia_sec.common.protocol.messages import ChunkMessage, DeliveryMessage, Envelope
 from eia_sec.common.transitions import Chunk, Rows
 from eia_sec.learner.intake.peer_penalties import LIMIT
-from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
+from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, next_arrival, shut
 from tests.faults.tools.harness import LONG, FaultRun, record_result, run
 from tests.system.fleet import RUN as RUN_NAME
 from tests.system.fleet import until
@@ -178,13 +178,13 @@ def test_who_waits_for_chunks_is_woken(room):
     taken: list[int] = []
     while len(taken) < 5:
         began = time.monotonic()
-        arrival = receiver.next_arrival(30.0)
+        arrival = next_arrival(receiver, 30.0)
         assert arrival is not None or time.monotonic() - began < 30.0, "nobody woke it"
         if arrival is not None:
             taken.append(arrival.sender.sequence)
     sending.join(10.0)
     assert taken == [1, 2, 3, 4, 5]
-    assert receiver.next_arrival(0.001) is None
+    assert next_arrival(receiver, 0.001) is None
     shut(receiver, door)
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import BusError
+from eia_sec.common.loops import in_thread
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import Envelope
@@ -107,6 +108,7 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
             IntakeLimits(16, None),
             lockstep=False,
         )
+        receiving = in_thread("receiver", receiver.receive())
         try:
             time.sleep(0.3)
             answers = [send(worker, "bad", number) for number in range(1, LIMIT + 3)]
@@ -117,7 +119,7 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
             assert receiver.peer_penalties.counts() == {"bad": LIMIT, "other": 1}
         finally:
             bus.close()
-            receiver.join()
+            receiving.join()
 
 
 def send(bus: Bus, worker: str, number: int) -> str:

@@ -10,6 +10,7 @@ import sys
 from eia_sec.common.config import ReplayConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.farm import farm_environment
+from eia_sec.common.loops import in_thread
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.transport.bus import Bus
@@ -50,19 +51,23 @@ def main() -> None:
             IntakeLimits(ReplayConfig().intake_chunks, None),
             lockstep=False,
         )
+        receiving = in_thread("receiver", receiver.receive())
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         window = Window(lambda: (taken[0], taken[1]), options.seconds)
         while not window.over():
-            if (arrival := receiver.next_arrival(0.02)) is None:
+            if receiver.arrivals.empty():
+                receiver.dealt_with.wait(0.02)
+                receiver.dealt_with.clear()
                 continue
+            arrival = receiver.arrivals.get_nowait()
             rows, sender = arrival.chunk.rows, arrival.sender
             replay.add(rows, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
             taken[0] += rows.steps
             taken[1] += rows.observation.nbytes + rows.action.nbytes + rows.reward.nbytes
         write_result(window.report())
         receiver.close()
-    receiver.join()
+    receiving.join()
 
 
 if __name__ == "__main__":

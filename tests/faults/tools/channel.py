@@ -9,6 +9,7 @@ import random
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,12 +17,14 @@ import numpy as np
 
 from eia_sec.common.farm import METRIC_NAMES
 from eia_sec.common.history.history import History
+from eia_sec.common.loops import in_thread
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import from_request, to_message, to_request
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import ChunkAck, Envelope
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows
+from eia_sec.learner.intake.arrival import Arrival
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.receiver import Receiver
@@ -64,6 +67,7 @@ class Door:
 
     def __init__(self) -> None:
         self._waiting: queue.Queue[Parcel | None] = queue.Queue(64)
+        self.thread: threading.Thread
 
     def __iter__(self) -> Iterator[Parcel]:
         while (parcel := self._waiting.get()) is not None:
@@ -164,7 +168,7 @@ def travel(road: Road, workers: int, chunks: int, receiver: Receiver, door: Door
 
     def absorb() -> None:
         while not ended.is_set() or not receiver.arrivals.empty():
-            if (arrival := receiver.next_arrival(0.05)) is None:
+            if (arrival := next_arrival(receiver, 0.05)) is None:
                 continue
             number = int(arrival.chunk.rows.observation[0, 0])
             assert number == arrival.sender.sequence
@@ -230,12 +234,36 @@ def front_door(ledger: Ledger | None = None, history: History | None = None, **l
     """Return a receiver and the door before it."""
     door = Door()
     bounds = IntakeLimits(**{"chunks": 64, "most_lag": None, **limits})
-    receiver = Receiver(door, TEAM, RULES, ledger or Ledger(), bounds, lockstep=False, history=history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
-    return receiver, door
+    return receiving(door, RULES, bounds, ledger=ledger, history=history), door
+
+
+def receiving(
+    door: Door,
+    rules: ChunkRules,
+    limits: IntakeLimits,
+    *,
+    lockstep: bool = False,
+    ledger: Ledger | None = None,
+    history: History | None = None,
+) -> Receiver:
+    """Return a receiver whose loop runs in a thread, as in a learner."""
+    receiver = Receiver(door, TEAM, rules, ledger or Ledger(), limits, lockstep, history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
+    door.thread = in_thread("receiver", receiver.receive())
+    return receiver
+
+
+def next_arrival(receiver: Receiver, seconds: float) -> Arrival | None:
+    """Return the next chunk, or None when nothing wakes the learner in this time."""
+    if receiver.arrivals.empty():
+        receiver.dealt_with.wait(seconds)
+        receiver.dealt_with.clear()
+    with suppress(queue.Empty):
+        return receiver.arrivals.get_nowait()
+    return None
 
 
 def shut(receiver: Receiver, door: Door) -> None:
     """End the receiver's thread."""
     receiver.close()
     door.close()
-    receiver.join()
+    door.thread.join()

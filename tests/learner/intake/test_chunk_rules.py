@@ -17,12 +17,11 @@ from eia_sec.common.seeds import stream
 from eia_sec.common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.deploy.monitor.audit import audit
 from eia_sec.learner.intake.episode_tracker import EpisodeTracker
-from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.peer_penalties import LIMIT
 from eia_sec.learner.intake.receiver import Receiver
 from eia_sec.rollout.worker.collector import Collector
-from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, shut
+from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, receiving, shut
 
 FARM = ChunkRules(environments=2, chunk_steps=10, spool_chunks=4, shortest=30, longest=30)
 """Rules as on a farm, where every episode lasts 30 steps."""
@@ -60,7 +59,7 @@ def parcel(*chunks: Chunk, number: int = 1, name: str = "w", version: int = 0, *
 
 def front_door(rules: ChunkRules = FARM, history: History | None = None) -> tuple[Receiver, Door]:
     door, bounds = Door(), IntakeLimits(64, None)
-    return Receiver(door, TEAM, rules, Ledger(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all that it uses
+    return receiving(door, rules, bounds, history=history), door
 
 
 def finished(receiver: Receiver) -> int:

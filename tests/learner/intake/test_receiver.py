@@ -8,8 +8,19 @@ from eia_sec.common.protocol.chunk_messages import to_message, to_request
 from eia_sec.common.protocol.messages import ChunkAck, Envelope
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
-from eia_sec.learner.intake.receiver import Receiver
-from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
+from tests.faults.tools.channel import (
+    RULES,
+    RUN,
+    TEAM,
+    Door,
+    Parcel,
+    Sending,
+    a_chunk,
+    front_door,
+    next_arrival,
+    receiving,
+    shut,
+)
 from tests.system.fleet import until
 
 
@@ -38,7 +49,7 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
         assert answers == ["accepted", "accepted", "refused", "accepted"]
         accepted = []
         for _ in range(3):
-            arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
+            arrival = until(lambda: next_arrival(receiver, 0.05), "a chunk")
             kept = Ledger()
             kept.restore(arrival.ledger.state())
             accepted.append(kept.totals()["accepted"])
@@ -85,13 +96,13 @@ def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
     """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
     door = Door()
     bounds = IntakeLimits(16, None)
-    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = receiving(door, RULES, bounds, lockstep=True)
     try:
         stray = parcel("stranger", 1, 1)
         stray.payload = b"junk"
         door.pass_on(stray)
         door.push(Sending("0", 1).parcel([1]))
-        assert until(lambda: receiver.next_arrival(0.05), "a chunk").sender.name == "0"
+        assert until(lambda: next_arrival(receiver, 0.05), "a chunk").sender.name == "0"
         assert "exactly one worker" in door.pass_on(parcel("late", 1, 1)).refused
     finally:
         shut(receiver, door)
@@ -101,10 +112,10 @@ def test_a_lockstep_run_ends_with_its_worker():
     """One that was restarted would repeat its first episodes; the learner ends, and takes nothing of it."""
     door = Door()
     bounds = IntakeLimits(16, None)
-    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = receiving(door, RULES, bounds, lockstep=True)
     try:
         door.push(Sending("0", 1).parcel([1]))
-        assert until(lambda: receiver.next_arrival(0.05), "a chunk").sender.name == "0"
+        assert until(lambda: next_arrival(receiver, 0.05), "a chunk").sender.name == "0"
         assert not receiver.repeats
         assert "would repeat its first episodes" in door.pass_on(parcel("0", 2, 1)).refused
         assert receiver.repeats
@@ -129,11 +140,11 @@ def test_in_lockstep_a_second_copy_waits_for_the_training_too():
     """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
     door, sending = Door(), Sending("0", 2)
     bounds = IntakeLimits(16, None)
-    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = receiving(door, RULES, bounds, lockstep=True)
     try:
         first, second = sending.parcel([1]), sending.parcel([1])
         door.push(first)
-        arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
+        arrival = until(lambda: next_arrival(receiver, 0.05), "a chunk")
         door.push(second)
         # The third is of another worker, and its refusal says that the second has been looked at.
         assert "exactly one worker" in door.pass_on(Sending("1", 1).parcel([1])).refused

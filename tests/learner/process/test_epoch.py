@@ -20,7 +20,7 @@ DAY = 86_400 * 10**6
 
 def start(directory, trainer, clock, monkeypatch):
     """Resume a learner's state in a directory under a faked clock; return its epoch and the ledger's losses."""
-    monkeypatch.setattr("eia_sec.common.incarnation.time.time_ns", lambda: clock * 1000)
+    monkeypatch.setattr("eia_sec.common.clock.time.time_ns", lambda: clock * 1000)
     learner = Learner.__new__(Learner)
     learner._options, learner.trainer = SimpleNamespace(run_dir=directory, resume=True, start=tuple), trainer
     learner._storage = RunStorage(directory, CONFIG)

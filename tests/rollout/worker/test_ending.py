@@ -12,6 +12,7 @@ from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.farm import WorldConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.farm import farm_team
+from eia_sec.common.loops import run
 from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
@@ -32,8 +33,9 @@ class Recorded:
     def wait_empty(self, timeout, meanwhile):
         """Two turns of waiting in which nothing is delivered."""
         self._calls.append(f"wait {timeout:.0f}")
-        meanwhile()
-        meanwhile()
+        for _ in range(2):
+            meanwhile()
+            yield 0.0
         return False
 
     def __getattr__(self, method):
@@ -45,8 +47,8 @@ def an_ending_worker(monkeypatch, state, stop):
     calls: list[str] = []
     worker = Worker.__new__(Worker)
     worker._options, worker._stop, worker._times = WorkerOptions("run", "3", None), stop, service._Times()
-    for part in ("learner", "evaluations", "sender", "history"):
-        setattr(worker, f"_{part}", Recorded(part, calls))
+    for name, part in (("_learner", "learner"), ("_evaluations", "evaluations"), ("sender", "sender")):
+        setattr(worker, name, Recorded(part, calls))
     worker._learner.state = state
     worker._collector = SimpleNamespace(environment_steps=24)
     monkeypatch.setattr(worker, "_report", lambda: calls.append("report"))
@@ -57,16 +59,16 @@ def an_ending_worker(monkeypatch, state, stop):
 def test_a_worker_that_ends_serves_the_coordinator_while_the_learner_trains(monkeypatch, capsys, state, stop):
     """A learner that waits for an imitation event takes no chunks, so the worker's last ones would wait for itself."""
     worker, calls = an_ending_worker(monkeypatch, state, stop)
-    worker.run()
+    run(worker.run())
     served = ["learner.poll", "evaluations.poll"] * 2 if state == "training" else []
-    assert calls == ["wait 5", *served, "report", "sender.close", "history.close"]
+    assert calls == ["wait 5", *served, "report"]
     assert "worker 3: 12 steps were not delivered." in "".join(capsys.readouterr())
 
 
 def test_the_time_to_end_counts_from_when_the_stop_is_noticed(monkeypatch):
     """An evaluation that goes on then takes its time from the deliveries', and leaves some for them."""
     clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(service, "monotonic", lambda: clock.now)
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     assert worker._seconds_left() == math.inf
     worker._stop = True
@@ -75,21 +77,21 @@ def test_the_time_to_end_counts_from_when_the_stop_is_noticed(monkeypatch):
     clock.now += 3.0
     assert worker._seconds_left() == service.DRAIN_SECONDS - 3.0
     calls.clear()
-    worker.run()
+    run(worker.run())
     assert calls[0] == "wait 2"
     clock.now += 1.5
     assert not worker._late_for_evaluations()
     clock.now += 1.0
     assert worker._late_for_evaluations()
     calls.clear()
-    worker.run()
+    run(worker.run())
     assert calls[0] == f"wait {service.DELIVER_SECONDS:.0f}"
 
 
 def a_collecting_worker(monkeypatch, cuts):
     """Return a worker whose chunks take 100 steps of 0.25 s, the steps that it made, and the calls of its parts."""
     clock, steps = SimpleNamespace(now=100.0), []
-    monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(service, "monotonic", lambda: clock.now)
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
     worker._cuts_chunks = cuts

@@ -1,6 +1,5 @@
 """A worker follows its learner, and may always be ended while it waits for one."""
 
-import threading
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -10,70 +9,77 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import from_toml, to_toml
 from eia_sec.common.errors import UsageError
-from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
-from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
+from eia_sec.common.protocol.messages import ConfigurationMessage, ParametersMessage, ProgressMessage
 from eia_sec.common.team import GroupSpec, TeamSpec
-from eia_sec.common.transport.bus import Bus
-from eia_sec.common.transport.endpoint import free_endpoint
-from eia_sec.rollout.worker import learner_link
 from eia_sec.rollout.worker.learner_link import LearnerLink
 
 
-def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
-    """A learner that said that it is new and then answers nobody does not keep its workers from ending.
+def test_a_worker_goes_on_until_a_new_learner_has_sent_its_configuration():
+    """A learner that said that it is new and then answers nobody does not hold its workers, and is not followed yet.
 
-    They do not follow it either: its configuration may be another one.
+    Its configuration may be another one.
     """
-    endpoint, stop = free_endpoint(), StopSignal()
-    with Bus.listen(endpoint, "control"), Bus.connect(endpoint, "control", 10.0) as bus:
-        learner = LearnerLink(bus, "r", "0", RunConfig(), TeamSpec((GroupSpec("one", 2, 3, 2),)), stop)
-        learner.epoch = 1
-        thread = threading.Thread(target=learner._follow, args=(ProgressMessage(2, 1, 0, 0, 0, 0, "training"),))
-        thread.start()
-        thread.join(0.5)
-        assert thread.is_alive()
-        stop.event.set()
-        thread.join(60.0)
-        assert not thread.is_alive()
-        assert (learner.epoch, learner.state) == (1, "unknown")
+    team, asked = TeamSpec((GroupSpec("one", 2, 3, 2),)), []
+    bus = States(lambda: asked.append(1))
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team)
+    learner.epoch = 1
+    for version in (1, 2, 3):
+        bus.say(ProgressMessage(2, version, 0, 0, 0, 0, "training"))
+        learner.poll()
+    assert (learner.epoch, len(asked)) == (1, 1)
+    bus.say(ProgressMessage(1, 9, 0, 0, 0, 0, "draining"))
+    learner.poll()
+    assert (learner.epoch, learner.state) == (1, "draining")
+    bus.answer = ConfigurationMessage(2, to_toml(RunConfig()), team.to_dict(), False).encode()
+    learner.poll()
+    assert (learner.epoch, learner.state, learner.newest_version) == (2, "training", 3)
 
 
 @pytest.mark.parametrize(
     ("changed", "followed"), [("learner.threads = 2", True), ("evaluation.farms = 9", True), ("seed = 9", False)]
 )
-def test_a_new_learner_may_change_what_a_resumed_run_may(monkeypatch, changed, followed):
+def test_a_new_learner_may_change_what_a_resumed_run_may(changed, followed):
     """Its own threads and the final evaluation are no business of a worker's; another seed is another run."""
     wanted = from_toml(changed, RunConfig())
     assert wanted != RunConfig()
-    answer = SimpleNamespace(toml=to_toml(wanted))
-    monkeypatch.setattr(learner_link, "fetch_configuration", lambda *arguments: answer)
-    learner = LearnerLink(States(), "r", "0", RunConfig(), TeamSpec((GroupSpec("one", 2, 3, 2),)), StopSignal())
+    team, bus = TeamSpec((GroupSpec("one", 2, 3, 2),)), States()
+    bus.answer = ConfigurationMessage(2, to_toml(wanted), team.to_dict(), False).encode()
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team)
     learner.epoch = 1
-    follow = nullcontext() if followed else pytest.raises(UsageError, match="another configuration")
-    with follow:
-        learner._follow(ProgressMessage(2, 1, 0, 0, 0, 0, "training"))
+    bus.say(ProgressMessage(2, 1, 0, 0, 0, 0, "training"))
+    with nullcontext() if followed else pytest.raises(UsageError, match="another configuration"):
+        learner.poll()
     assert learner.epoch == (2 if followed else 1)
 
 
 class States:
-    """Stands in for a bus: what is put into a subscription's list is polled from it once."""
+    """Stands in for a bus: what is put into a subscription's list is polled from it once, and one answer is given."""
 
-    def __init__(self):
-        self.waiting = {}
+    def __init__(self, on_request=lambda: None):
+        self.waiting, self.answer, self._on_request = {}, None, on_request
+
+    def say(self, progress):
+        self.waiting[keys.PROGRESS.key("r")].append(progress.encode())
+
+    def asking(self, key, payload, timeout):
+        self._on_request()
+        while self.answer is None:
+            yield 0.1
+        return self.answer
 
     def subscribe_state(self, key):
         queue = self.waiting.setdefault(key, [])
         return SimpleNamespace(poll=lambda: SimpleNamespace(payload=queue.pop(0)) if queue else None, missed=0)
 
 
-def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while(monkeypatch):
+def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while():
     """Its parameters are dropped with an alarm at first; then the worker takes the ones that it published last."""
     team = TeamSpec((GroupSpec("one", 2, 3, 2),))
     bus, clock = States(), SimpleNamespace(now=0.0)
-    monkeypatch.setattr(learner_link, "fetch_configuration", lambda *arguments: None)
-    learner = LearnerLink(bus, "r", "0", RunConfig(), team, StopSignal())
+    bus.answer = ConfigurationMessage(7, to_toml(RunConfig()), team.to_dict(), False).encode()
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team)
     learner._fence = EpochFence(lambda: clock.now)
 
     def hear(epoch, version, seed):

@@ -11,6 +11,7 @@ from itertools import count
 import pytest
 
 from eia_sec.common.errors import BusError
+from eia_sec.common.loops import Loop, in_thread, run
 from eia_sec.common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, from_message, from_request
 from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from eia_sec.rollout.worker import sender as module
@@ -27,9 +28,9 @@ class Wire:
         self._answers: queue.Queue[bytes | None] = queue.Queue()
         self.refusals = 0
 
-    def ask(
+    def asking(
         self, key: str, payload: bytes, timeout: float, attachment: bytes, again: Callable[[float], bool]
-    ) -> bytes | None:
+    ) -> Loop[bytes | None]:
         self._asked.put((payload, attachment))
         if self.refusals:
             self.refusals -= 1
@@ -37,7 +38,8 @@ class Wire:
         asked = time.monotonic()
         while True:
             with suppress(queue.Empty):
-                return self._answers.get(timeout=0.01)
+                return self._answers.get_nowait()
+            yield 0.002
             if again(time.monotonic() - asked):
                 self._asked.put((payload, attachment))
                 asked = time.monotonic()
@@ -73,10 +75,12 @@ def sending(monkeypatch: pytest.MonkeyPatch, capacity: int = 100) -> Iterator[tu
         for number in numbers:
             sender.offer(a_chunk(number), version=10 + number)
 
+    thread = in_thread("sender", sender.deliver(), sender.offered)
     try:
         yield sender, wire, offer
     finally:
         sender.close()
+        thread.join()
 
 
 def test_one_chunk_goes_at_once_and_what_waits_meanwhile_goes_together(monkeypatch):
@@ -149,7 +153,7 @@ def test_who_ends_does_not_wait_for_a_learner_that_is_not_there(monkeypatch):
         offer(1)
         for _ in range(module.MOST_UNTAKEN + 1):
             wire.answer()
-        assert not sender.wait_empty(3600.0)
+        assert not run(sender.wait_empty(3600.0))
         assert sender.spooled == 1
 
 
@@ -160,7 +164,7 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
         for _ in range(module.MOST_UNTAKEN - 1):
             wire.answer()
         wire.answer("accepted")
-        assert sender.wait_empty(3600.0)
+        assert run(sender.wait_empty(3600.0))
 
 
 def test_who_waits_goes_on_with_its_other_work(monkeypatch):
@@ -168,7 +172,7 @@ def test_who_waits_goes_on_with_its_other_work(monkeypatch):
     with sending(monkeypatch) as (sender, wire, offer):
         offer(1)
         turns = count()
-        assert sender.wait_empty(3600.0, lambda: wire.answer("accepted") if next(turns) == 3 else None)
+        assert run(sender.wait_empty(3600.0, lambda: wire.answer("accepted") if next(turns) == 3 else None))
 
 
 @pytest.mark.parametrize("ending", [True, False])
@@ -184,7 +188,7 @@ def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
         offer(2)
         time.sleep(0.2)
         assert wire.silent
-        emptied = pool.submit(sender.wait_empty, 3600.0) if ending else None
+        emptied = pool.submit(run, sender.wait_empty(3600.0)) if ending else None
         sender.resend_fast()
         for _ in range(3):
             first, _, chunks = wire.request()
@@ -221,6 +225,6 @@ def test_a_replaced_start_sends_nothing_more(monkeypatch):
         offer(2)
         wire.answer("replaced")
         until(lambda: sender.replaced, "the verdict")
-        assert not sender.wait_empty(3600.0)
+        assert not run(sender.wait_empty(3600.0))
         assert wire.silent
         assert (sender.spooled, sender.accepted, sender.in_flight) == (2, 0, 2)
