@@ -1,7 +1,7 @@
 """The loops of processes: generators that yield how many seconds they wait before their next step.
 
-They hold no thread and no clock. A process runs them in its threads, with `run` and `in_thread`; a simulation takes
-their steps in the order that its seed says.
+They hold no thread. A process runs them in its threads, with `run` and `in_thread`; a simulation takes their steps in
+the order that its seed says. A pause of 0 only says that a step has ended.
 """
 
 import threading
@@ -47,7 +47,7 @@ def run(loop: Loop[T], woken: threading.Event | None = None) -> T:
     while not running.step():
         if woken is None:
             time.sleep(running.pause)
-        else:
+        elif running.pause > 0.0:
             woken.wait(running.pause)
             woken.clear()
     return running.result

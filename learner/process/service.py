@@ -156,6 +156,7 @@ class Learner:
         updates = self._schedule.updates(self.trainer)
         if updates > 0:
             self._train(updates)
+            yield 0.0
         elif self._awaits_event():
             yield from self._wait_for_imitation()
         else:

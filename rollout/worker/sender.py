@@ -1,5 +1,6 @@
 """Delivery of chunks: a bounded spool, and one request at a time that is resent until the learner has settled it."""
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -24,7 +25,8 @@ from eia_sec.common.transport.bus import Bus
 ANSWER_SECONDS = 30.0
 """Time after which an unanswered request is resent. A learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
-"""The same in lockstep, where the answer follows the training that the chunk allows."""
+"""Time limit of a request in lockstep, where the answer follows the training that the chunk allows. It is resent
+meanwhile, every ANSWER_SECONDS, because an answer may get lost."""
 FAST_RESEND_SECONDS = 0.25
 """First resend time when the run or the worker ends; it doubles with each resend. It is short because a router may fail
 and lose an answer, and a draining learner does not wait long for the next chunk."""
@@ -235,7 +237,8 @@ class Sender:
             return None, True
 
     def _resend_now(self, waited: float) -> bool:
-        if not self._resends_fast or waited < self._resend_after:
+        usual = ANSWER_SECONDS if self._patience > ANSWER_SECONDS else math.inf
+        if waited < (self._resend_after if self._resends_fast else usual):
             return False
         self._resend_after *= 2.0
         self.retries += 1

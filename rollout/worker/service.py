@@ -183,6 +183,7 @@ class Worker:
         actors = self._gate.actors()
         if actors is not None:
             self._collect(actors)
+            yield 0.0
         else:
             yield from self._wait()
         self._report_if_due()

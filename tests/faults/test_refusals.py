@@ -222,7 +222,8 @@ def test_a_receiver_that_waits_for_room_ends_when_nobody_makes_any():
     late = parcel(of(a_chunk(2), 2), number=2)
     door.push(late)
     door.close()
-    receiver.join()
+    receiver.close()
+    door.thread.join()
     assert late.answer is not None
     assert late.verdict == "closed"
 

@@ -228,3 +228,14 @@ def test_a_replaced_start_sends_nothing_more(monkeypatch):
         assert not run(sender.wait_empty(3600.0))
         assert wire.silent
         assert (sender.spooled, sender.accepted, sender.in_flight) == (2, 0, 2)
+
+
+def test_a_lost_answer_is_asked_for_again_in_lockstep(monkeypatch):
+    """Where an answer may take an hour, the request is resent all the same; the first answer to any copy counts."""
+    monkeypatch.setattr(module, "ANSWER_SECONDS", 0.05)
+    with sending(monkeypatch) as (sender, wire, offer):
+        offer(1)
+        assert [wire.request()[0] for _ in range(3)] == [1, 1, 1]
+        wire.answer("duplicate")
+        until(lambda: sender.spooled == 0, "the chunk settled")
+        assert sender.accepted == 1
