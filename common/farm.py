@@ -144,7 +144,7 @@ def _relay_hints(farm: FarmConfig, name: str, names: Sequence[str]) -> tuple[int
     The changes of D_c add up to D_c at the end minus that at the start, so only the last steps count.
     """
     reward = farm.reward
-    if name != COMMUNICATION or reward.positioning <= 0.0 or reward.positioning_sign != "corrected":
+    if name != COMMUNICATION or reward.positioning <= 0.0:
         return -1, -1
     return _both(_place(names, nine_names("service")[0]), _place(names, f"left_{SOON}"))
 

@@ -266,11 +266,8 @@ def _see_place(table: _Table, label: str, name: str, farthest: float) -> None:
 
 
 def _see_nearest(farm: FarmConfig, height: float, table: _Table) -> None:
-    """Add the view of the nearest UAV. It flies in the same plane unless all planes are searched (W10)."""
-    world = farm.world
-    heights = (world.height_communication, world.height_monitoring, world.height_collection)
-    others = heights if farm.reward.nearest == "any" else (height,)
-    _see_place(table, "nearest UAV", "nearest_uav", _apart(world, height, others))
+    """Add the view of the nearest UAV of the same plane (W10)."""
+    _see_place(table, "nearest UAV", "nearest_uav", _apart(farm.world, height, (height,)))
 
 
 def _apart(world: WorldConfig, height: float, others: tuple[float, ...]) -> float:

@@ -48,16 +48,9 @@ class ImitationSchedule:
             return None
         episode = 0
         for number in range(1, event + 1):
-            following = self._next(episode, self.cycle(number))
-            if following is None:
-                return None
-            episode = following
+            cycle = self.cycle(number)
+            episode = (episode // cycle + 1) * cycle
         return episode
-
-    def _next(self, episode: int, cycle: int) -> int | None:
-        if self.config.rule == "cycle_divides_episode":
-            return (episode // cycle + 1) * cycle
-        return next((candidate for candidate in range(episode + 1, cycle + 1) if cycle % candidate == 0), None)
 
     def is_due(self, applied: int, episodes: int) -> bool:
         """Return whether, after `applied` events, the next one is due at `episodes` finished episodes."""

@@ -13,13 +13,11 @@ SWITCHES: Final = (
     ("elite.", "elite.enabled", False),
     ("algorithm.sequence_", "algorithm.memory", "none"),
     ("env.", "env.name", FARM),
-    ("farm.observation.plan_", "farm.observation.plan", 0),
     ("farm.battery.", "farm.battery.capacity", 0.0),
     ("farm.stress.radius", "farm.stress.patches", 0),
     ("farm.stress.growth", "farm.stress.patches", 0),
     ("farm.stress.seconds", "farm.stress.patches", 0),
     ("farm.wind.direction", "farm.wind.speed", 0.0),
-    ("farm.wind.gust_", "farm.wind.gusts", 0.0),
     ("farm.relay.base", "farm.relay.require_link", False),
     ("farm.relay.hop_range", "farm.relay.base", ""),
 )

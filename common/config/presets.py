@@ -27,7 +27,6 @@ PLANS: Final = """
 monitoring_inset = 0.36
 [farm.observation]
 plan = 12
-plan_paths = 54
 [algorithm]
 suggestion_logits = "collection=8"
 value_steps = 96000
@@ -219,7 +218,6 @@ rate = 0.1
 cycle = 10
 rate_decay = 0.5
 cycle_growth = 2.0
-rule = "cycle_divides_episode"
 farms = 1
 [replay]
 capacity = 65536
@@ -227,7 +225,6 @@ updates_per_step = 1.0
 [exploration]
 noise_std_start = 0.2
 noise_std_end = 0.05
-decay_share = 0.6
 """
 """The paper's Table 2 with the printed forms of W5, W24, A7, A8, A9 and A10, over `eia-sec`.
 

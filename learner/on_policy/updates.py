@@ -107,7 +107,7 @@ class Updates:
         self._load(rows)
         states, team = self._states, self._seen.team
         value = self._all_values() if states is None else states.begin(self.policies, team)
-        reward = credited(self._team, rows.reward, config.credit) * np.float32(config.reward_scale)
+        reward = rows.reward * np.float32(config.reward_scale)
         ends = config.time_limit == "terminal"
         gain = advantages(reward, value, rows.flag, self._discount, config.gae_lambda, time_limit_ends=ends)
         used = step_rows(rows)
@@ -306,16 +306,3 @@ def require_one_count(found: Mapping[str, Tensor]) -> None:
         stack, _, layer = name.partition(".layers.")
         if layer.endswith(".step") and not torch.equal(counts.setdefault(stack, count), count):
             raise CheckpointError(f"the checkpoint's {name} differs within one network.")
-
-
-def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:
-    """Return the rewards [R, agents] that agents learn from: their own, their type's mean, or the team's mean."""
-    if credit == "own":
-        return reward
-    found = np.empty_like(reward)
-    if credit == "team":
-        found[:] = reward.mean(axis=1, keepdims=True)
-        return found
-    for agents in team.agent_slices():
-        found[:, agents] = reward[:, agents].mean(axis=1, keepdims=True)
-    return found

@@ -75,8 +75,6 @@ def upper_bound(config: FarmConfig, farm: int) -> dict[str, float]:
         ConfigError: the farm is one for which it does not hold.
     """
     world, pay = config.world, config.reward
-    if pay.positioning_sign == "printed":
-        raise ConfigError("with the printed sign a relay is paid for flying away, and D_c at the start bounds nothing.")
     known = constants(config)
     speeds = np.linspace(0.0, float(np.hypot(world.speed_x_max, world.speed_y_max)), SPEEDS)
     least = min(flight_power(known.flight, float(speed)) for speed in speeds)

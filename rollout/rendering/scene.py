@@ -210,6 +210,6 @@ def radio_radius(config: FarmConfig) -> float:
 
 
 def _chance(config: FarmConfig, horizontal: float) -> float:
-    """Return 1 - PLR at a horizontal distance, without interference."""
+    """Return 1 - PLR at a horizontal distance."""
     radio, distance = config.radio, math.hypot(horizontal, config.world.height_collection)
     return 1.0 - float(packet_loss(radio, received_mw(radio, distance) / noise_mw(radio)))

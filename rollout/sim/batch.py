@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import ConfigError, SimulationError
+from eia_sec.common.errors import SimulationError
 from eia_sec.common.farm import farm_environment
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
@@ -57,8 +57,7 @@ class FarmBatch:
         direction: [E, n, 2] current D_VDF or D_AoI; (0, 0) if there is none, and for relays.
         energy: [E, n] energy used in the last step, J.
         utility: [E, n] VMUF or DCUF of the last step, units; 0 for relays.
-        served_sensors: [E, n_d] number of sensors with AoI above 0 that each UAV served in the last step. With expected
-            delivery it is the sum of the shares delivered.
+        served_sensors: [E, n_d] number of sensors with AoI above 0 that each UAV served in the last step.
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm;
             NO_LINK without a relay.
@@ -76,7 +75,7 @@ class FarmBatch:
             tracked.
 
     Raises:
-        ConfigError: the field is too small for the link budget, or visits are to be tracked in expected delivery.
+        ConfigError: the field is too small for the link budget.
         SimulationError: there is no environment, or no thread; or the configuration wants autopilots, which
             `eia_sec.rollout.heuristics.farms.make_farms` adds.
     """
@@ -91,8 +90,6 @@ class FarmBatch:
             )
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")
-        if hindsight and config.radio.delivery == "expected":
-            raise ConfigError('hindsight needs farm.radio.delivery "bernoulli": an expected delivery is no whole one.')
         self.config = config
         self.spec: EnvironmentSpec = farm_environment(config)
         self.team: TeamSpec = self.spec.team
@@ -153,7 +150,7 @@ class FarmBatch:
 
     @property
     def potential(self) -> Float32:
-        """[E, n] Phi = +alpha_1 D_c t_step of relays, -alpha_1 D_c t_step with the printed sign (W1); else 0.
+        """[E, n] Phi = alpha_1 D_c t_step of relays (W1); else 0.
 
         The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `eia_sec.rollout.sim.core.rewards`.
         """

@@ -1,4 +1,4 @@
-"""The imitation schedule fires when reading A1 says, in both its forms."""
+"""The imitation schedule fires when reading A1 says."""
 
 import pytest
 
@@ -31,11 +31,6 @@ def test_default_schedule_pulls_as_the_readings_say() -> None:
     for event in range(1, 9):
         kept *= 1.0 - schedule.rate(event)
     assert round(100 * (1 - kept), 1) == 18.6
-
-
-def test_printed_schedule() -> None:
-    """Lambda divides delta fires at 1, 2, 4, 5, 8, 10 first."""
-    assert episodes(ImitationSchedule(EliteConfig(rule="printed")), 10) == [1, 2, 4, 5, 8, 10]
 
 
 def test_growth_of_one_repeats() -> None:

@@ -21,19 +21,17 @@ def test_scores_by_hand() -> None:
 
 
 def test_the_steadier_of_two_equals_wins() -> None:
-    """At equal means the lower variance has the higher omega; beta_2 = 0 makes them equal."""
+    """At equal means the lower variance has the higher omega."""
     reward = np.array([[[2.0, 0.0], [2.0, 4.0]]], np.float32)
     steady, wild = scores(reward, EliteConfig())
     assert steady > wild
-    even = scores(reward, EliteConfig(weight_variance=0.0))
-    assert even[0] == even[1]
 
 
 def test_scale_does_not_matter_to_the_variance() -> None:
     """A type with rewards a hundred times as large has the same spread in omega relative to its scale."""
     reward = np.random.default_rng(0).normal(1.0, 1.0, (2, 50, 3)).astype(np.float32)
-    config = EliteConfig(weight_mean=0.0)
-    np.testing.assert_allclose(scores(reward, config), scores(reward * np.float32(64), config), rtol=1e-5)
+    spread = [scores(each, EliteConfig()) - each.mean(axis=(0, 1)) for each in (reward, reward * np.float32(64))]
+    np.testing.assert_allclose(*spread, rtol=1e-3)
 
 
 def test_zero_rewards_have_zero_scores() -> None:

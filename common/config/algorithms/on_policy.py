@@ -72,8 +72,6 @@ class OnPolicyConfig(AlgorithmConfig):
     a gated recurrent unit (gru) in place of their second hidden layer."""
     sequence_steps: int = 50
     """Steps through which gradients flow back in networks with memory; `rollout.chunk_steps` is a multiple of it."""
-    credit: Literal["own", "type", "team"] = "own"
-    """Whether an agent learns from its own reward, the mean of its type's, or the mean of the team's."""
     hindsight: str = "monitoring=1.0, collection=0.75"
     """Shares of types' task rewards that are paid as hindsight credit, what a visit was worth to the team: type=share
     separated by commas, each 0 to 1; types that are not named have none (ours)."""

@@ -7,6 +7,8 @@ from eia_sec.common.config.checks import not_negative, positive, within
 
 MOST_STATIONS: Final = 64
 """Most charging stations of a farm."""
+LANDING: Final = 5.0
+"""Distance from a station within which a UAV that flies at most 1 m/s has landed, m (ours)."""
 MOST_RESERVE: Final = 0.8
 """Largest `failsafe`. UAVs leave a station at nine tenths; with a reserve near that, they would turn back at once."""
 
@@ -21,8 +23,6 @@ class BatteryConfig:
     """Charging stations, evenly over the field (ours)."""
     power: float = 400.0
     """Power with which a station charges each UAV that has landed, W (ours)."""
-    landing: float = 5.0
-    """Distance from a station within which a UAV that flies at most 1 m/s has landed, m (ours)."""
     failsafe: float = 0.0
     """Share of the capacity; when less would be left at the nearest free station, an autopilot flies the UAV there. 0
     for no autopilots (ours)."""
@@ -31,7 +31,7 @@ class BatteryConfig:
         """Refuse batteries that are none."""
         not_negative(capacity=self.capacity)
         within(1, MOST_STATIONS, stations=self.stations)
-        positive(power=self.power, landing=self.landing)
+        positive(power=self.power)
         within(0.0, MOST_RESERVE, failsafe=self.failsafe)
 
     @property

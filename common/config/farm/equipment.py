@@ -20,7 +20,7 @@ class RadioConfig:
     sensor_gain_dbi: ClassVar[float] = 0.0
     """Antenna gain of a sensor, G_WS, dBi (ours)."""
     carrier_mhz: ClassVar[float] = 2800.0
-    """Carrier frequency, f_c, MHz."""
+    """Carrier frequency, f_c, MHz, the unit in which it enters both path losses (W12)."""
     bandwidth_hz: ClassVar[float] = 20e6
     """Bandwidth, Bw, Hz."""
     temperature_k: ClassVar[float] = 298.0
@@ -35,14 +35,6 @@ class RadioConfig:
     """Frequency exponent a_2 of the vegetation loss."""
     vegetation_distance_exponent: ClassVar[float] = 0.3
     """Distance exponent a_3 of the vegetation loss."""
-    frequency_unit: Literal["mhz", "ghz"] = "mhz"
-    """Unit in which f_c enters both path losses (W12)."""
-    interference: bool = False
-    """Whether the strongest woken sensor of every other data collection UAV interferes (W14)."""
-    q_function: Literal["approximate", "exact"] = "approximate"
-    """Q(x) as 0.5 exp(-x^2 / 2), or exact (W15)."""
-    delivery: Literal["bernoulli", "expected"] = "bernoulli"
-    """Whether a packet succeeds at random with probability 1 - PLR, or delivers its expected share 1 - PLR (W17)."""
 
     def __post_init__(self) -> None:
         """Refuse a power that is no number."""
@@ -55,17 +47,16 @@ class CameraConfig:
 
     image_distance: float = 25.0
     """Largest distance from UAV to grid cell for an acceptable image, d_th, m (ours)."""
-    grid_x: int = 5
+    grid_x: ClassVar[int] = 5
     """Grid cells of a plot along x, n_gx (ours)."""
-    grid_y: int = 5
+    grid_y: ClassVar[int] = 5
     """Grid cells of a plot along y, n_gy (ours)."""
     plot_threshold: float = 0.75
     """Share of acceptable cells that the image of a plot needs to succeed, Q_th (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse grids without cells and thresholds outside 0..1."""
+        """Refuse thresholds outside 0..1."""
         positive(image_distance=self.image_distance)
-        within(1, 64, grid_x=self.grid_x, grid_y=self.grid_y)
         within(0.0, 1.0, plot_threshold=self.plot_threshold)
 
 

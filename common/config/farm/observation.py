@@ -1,7 +1,7 @@
 """What the agents of the farm see."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import ConfigError
@@ -40,8 +40,8 @@ class ObservationConfig:
     """Steps that plans of monitors and collectors look ahead, 0 to 64. For each of nine moves they see what the best
     plan that begins with it is worth. Monitors with a route see it in the last steps only, three times as many, and
     their route's mark is then the best plan's. Fresh actors of moves favour those whose plans are best (ours)."""
-    plan_paths: int = 27
-    """Plans that the search for them keeps, 9 to 512 (ours)."""
+    plan_paths: ClassVar[int] = 54
+    """Plans that the search for them keeps (ours)."""
     fields: bool = True
     """Whether monitors and collectors see where their own share of the task lies, near and far (ours)."""
     coarse: bool = True
@@ -92,6 +92,5 @@ class ObservationConfig:
         within(0, 63, peers=self.peers)
         within(0, 2, units=self.units)
         within(0, 64, plan=self.plan)
-        within(9, 512, plan_paths=self.plan_paths)
         if self.window % 2 == 0:
             raise ConfigError(f"window must be odd, so that the UAV's own plot is in the middle, not {self.window}.")

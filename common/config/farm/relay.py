@@ -6,7 +6,7 @@ reading of it settles; all others are from its Tables 1 and 2.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from eia_sec.common.config.checks import not_negative, positive
 from eia_sec.common.config.farm.world import WorldConfig
@@ -17,17 +17,17 @@ from eia_sec.common.errors import ConfigError
 class RelayConfig:
     """Service quality D_c of the relays (communication UAVs), and the assignment of UAVs to them."""
 
-    weight_centroid: float = 0.5
+    weight_centroid: ClassVar[float] = 0.5
     """Weight epsilon_1 of D_cg, the distance to the centroid of the served UAVs."""
-    weight_farthest: float = 0.2
+    weight_farthest: ClassVar[float] = 0.2
     """Weight epsilon_2 of D_cf, the distance to the farthest served UAV."""
-    weight_relays: float = 0.3
+    weight_relays: ClassVar[float] = 0.3
     """Weight epsilon_3 of D_cc, the distance to the centroid of all relays."""
     capacity: int = 0
     """Most UAVs that one relay serves; 0 means ceil((n_m + n_d) / n_c) (ours)."""
-    cost_distance: float = 1.0
+    cost_distance: ClassVar[float] = 1.0
     """Weight of the distance, as a share of the field's diagonal, in the assignment cost (W3)."""
-    cost_link: float = 1.0
+    cost_link: ClassVar[float] = 1.0
     """Weight of the free-space loss, as a share of the loss at the field's diagonal, in the assignment cost (W3)."""
     require_link: bool = False
     """Whether images and packets count only while the UAV's relay is within link_range (W4)."""
@@ -40,15 +40,8 @@ class RelayConfig:
     """Range of the links between relays, and from a relay to the base station, m (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse negative weights and ranges."""
-        not_negative(
-            weight_centroid=self.weight_centroid,
-            weight_farthest=self.weight_farthest,
-            weight_relays=self.weight_relays,
-            capacity=self.capacity,
-            cost_distance=self.cost_distance,
-            cost_link=self.cost_link,
-        )
+        """Refuse negative capacities, and ranges that are none."""
+        not_negative(capacity=self.capacity)
         positive(link_range=self.link_range, hop_range=self.hop_range)
 
     @property

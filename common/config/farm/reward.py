@@ -4,17 +4,16 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 from eia_sec.common.config.checks import finite
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights alpha_1 to alpha_10 of the reward, and how we read its printed terms."""
+    """Weights alpha_1 to alpha_10 of the reward."""
 
     positioning: float = 1.0
-    """alpha_1, weight of the relay's change in D_c, 1/m."""
+    """alpha_1, weight by which a relay is paid for a smaller D_c, 1/m; the printed sign pays for flying away (W1)."""
     energy: float = 0.005
     """alpha_2, weight of the energy of the step, 1/J."""
     collision_risk: float = 5.0
@@ -35,12 +34,6 @@ class RewardConfig:
     """alpha_10, weight of the AoI motivation M_D."""
     relayed: float = 0.0
     """Weight of what a relay's UAVs earn and would not without their links, where `relay.require_link` (ours)."""
-    positioning_sign: Literal["corrected", "printed"] = "corrected"
-    """corrected: -alpha_1 dD_c rewards a relay for closing in; printed: the sign that rewards flying away (W1)."""
-    risk: Literal["closing", "printed"] = "closing"
-    """closing: SR = max(0, d(t-1) - d(t)) below d_safety; printed: d(t) - d(t-1) (W8)."""
-    nearest: Literal["plane", "any"] = "plane"
-    """Whether the nearest UAV is one at the same height, or at any height (W10)."""
 
     def __post_init__(self) -> None:
         """Refuse weights that are not numbers."""

@@ -1,9 +1,9 @@
 """Wind over the field: a steady part and gusts."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
-from eia_sec.common.config.checks import positive, within
+from eia_sec.common.config.checks import within
 from eia_sec.common.config.farm.world import WorldConfig
 from eia_sec.common.errors import ConfigError
 
@@ -23,13 +23,12 @@ class WindConfig:
     """Where it blows from, degrees clockwise from north (+y), so that 270 blows along +x; -1: from the seed (ours)."""
     gusts: float = 0.0
     """Standard deviation of the gusts along each axis, m/s; 0 for none (ours)."""
-    gust_seconds: float = 10.0
+    gust_seconds: ClassVar[float] = 10.0
     """Time after which a gust's correlation has fallen to 1/e, s (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse negative speeds and directions that are none."""
         within(0.0, STRONGEST, speed=self.speed, gusts=self.gusts)
-        positive(gust_seconds=self.gust_seconds)
         if self.direction != SEEDED:
             within(0.0, 360.0, direction=self.direction)
 

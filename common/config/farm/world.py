@@ -5,7 +5,7 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 from eia_sec.common.config.checks import not_negative, positive, within
 from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites, check_sites
@@ -69,7 +69,7 @@ class WorldConfig:
     """AoI and VDF at the start of an episode: all 0, or uniform over 0..max (ours)."""
     cycle_phase: Literal["zero", "random"] = "zero"
     """Whether all counters rise at multiples of their cycle (W18), or each at its own random phase."""
-    collision_distance: float = 2.0
+    collision_distance: ClassVar[float] = 2.0
     """Distance below which two UAVs at the same height are reported as a collision, m (ours)."""
 
     def __post_init__(self) -> None:
@@ -92,7 +92,6 @@ class WorldConfig:
             speed_x_max=self.speed_x_max,
             speed_y_max=self.speed_y_max,
             step_seconds=self.step_seconds,
-            collision_distance=self.collision_distance,
         )
         not_negative(sensor_spacing=self.sensor_spacing)
         within(1, 1_000_000, steps=self.steps, aoi_max=self.aoi_max, vdf_max=self.vdf_max)

@@ -56,7 +56,7 @@ def _chance_table(config: FarmConfig) -> Array:
     radio, height = constants(config).radio, config.world.height_collection
     distances = np.arange(0.0, np.hypot(config.world.field_x, config.world.field_y), CHANCE_STEP)
     squares = distances * distances + height * height
-    return np.array([*(delivery(radio, received_power(radio, square), 0.0) for square in squares), 0.0])
+    return np.array([*(delivery(radio, received_power(radio, square)) for square in squares), 0.0])
 
 
 def steps_between(places: Array, others: Array, world: WorldConfig) -> Array:

@@ -7,6 +7,7 @@ with its task. A UAV whose battery is empty fails in the next step.
 import math
 from typing import Final
 
+from eia_sec.common.config.farm.battery import LANDING
 from eia_sec.rollout.sim.conditions.failures import see_nothing
 from eia_sec.rollout.sim.core.arrays import Farm, Scratch
 from eia_sec.rollout.sim.core.compile import allocation_free, inlined
@@ -37,7 +38,7 @@ def use_charge(c: Constants, farm: Farm, s: Scratch) -> None:
         station = _nearest_station(stations, x, y)
         to_x, to_y = stations[station, 0] - x, stations[station, 1] - y
         charged = 0.0
-        if dx * dx + dy * dy <= way * way and to_x * to_x + to_y * to_y <= battery.landing * battery.landing:
+        if dx * dx + dy * dy <= way * way and to_x * to_x + to_y * to_y <= LANDING * LANDING:
             energy[u] = fleet.payloads[kind_of(fleet, u)] * fleet.seconds
             charged = battery.power * fleet.seconds
         charge[u] = min(battery.capacity, charge[u] - energy[u] + charged)

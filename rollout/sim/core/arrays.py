@@ -127,12 +127,9 @@ class Scratch(NamedTuple):
     around: Annotated[Indices, "S+1", "sensors around a UAV; the last entry is never read"]
     square: Annotated[Array, "S+1", "squares of their distances, m^2"]
     nearest_square: Annotated[Array, "listed", "squares of the distances of the nearest, m^2"]
-    woken: Annotated[Indices, "n_d", "strongest sensor that each UAV wakes"]
-    power: Annotated[Array, "n_d", "interference, mW"]
     way_steps: Annotated[Int32, "ways", "steps of ways round zones, see `conditions.ways`"]
     way_queue: Annotated[Int32, "ways", "lattice points of these ways"]
     item: Annotated[Indices, "items", "sensors or plots served"]
-    share: Annotated[Array, "S", "shares delivered"]
     assigning: AssignmentScratch
     added: ViewScratch
     plot_plan: PlanScratch

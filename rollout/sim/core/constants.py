@@ -44,7 +44,6 @@ class FleetConstants(NamedTuple):
     steps: Annotated[int, "steps of an episode"]
     safety: Annotated[float, "d_safety, m (W9)"]
     collision: Annotated[float, "collision distance, m"]
-    any_plane: Annotated[bool, "whether the search for the nearest UAV covers all planes (W10)"]
     mortal: Annotated[bool, "whether any UAV can be gone"]
     sizes: Annotated[tuple[int, int, int], "numbers that a UAV of each type observes"]
     wind: Annotated[bool, "whether wind blows"]
@@ -117,7 +116,6 @@ class RewardConstants(NamedTuple):
     utility: Annotated[tuple[float, float], "weight of VMUF and DCUF"]
     idle: Annotated[tuple[float, float], "weight of P_M and P_C"]
     motivation: Annotated[tuple[float, float], "weight of M_V and M_D"]
-    closing: Annotated[bool, "whether SR counts only closing in (W8), not the printed difference"]
     relayed: Annotated[float, "weight of what relays' UAVs earn through their links; 0 unless that takes links"]
 
 
@@ -218,7 +216,6 @@ def _fleet(config: FarmConfig) -> FleetConstants:
         steps=world.steps,
         safety=world.safety_distance,
         collision=world.collision_distance,
-        any_plane=config.reward.nearest == "any",
         mortal=config.loses_uavs,
         sizes=(relays.observation_size, monitors.observation_size, collectors.observation_size),
         wind=config.wind.some,
@@ -295,13 +292,12 @@ def _camera(config: FarmConfig) -> CameraConstants:
 def _reward(config: FarmConfig) -> RewardConstants:
     reward = config.reward
     return RewardConstants(
-        positioning=reward.positioning * (1.0 if reward.positioning_sign == "printed" else -1.0),
+        positioning=-reward.positioning,
         energy=-reward.energy,
         risk=-reward.collision_risk,
         boundary=-reward.boundary,
         utility=(float(reward.monitoring), float(reward.collection)),
         idle=(-float(reward.monitoring_idle), -float(reward.collection_idle)),
         motivation=(float(reward.monitoring_motivation), float(reward.collection_motivation)),
-        closing=reward.risk == "closing",
         relayed=float(reward.relayed) if config.relay.require_link else 0.0,
     )

@@ -16,8 +16,7 @@ stays in range for a second step would make its first image worthless, because t
 
 `hindsight` holds what to add to the reward of the visit's agent in the visit's step, weight (worth - u) t_step. No
 counter depends on another, so the corrections of one agent in one step add up. Only the utility is corrected. Leaving
-out a visit may also make its own UAV idle in that step, for which its own reward already pays, and nobody else. In
-expected delivery a service takes only a share of a counter, so all later payments change: `FarmBatch` refuses it.
+out a visit may also make its own UAV idle in that step, for which its own reward already pays, and nobody else.
 """
 
 from typing import Final

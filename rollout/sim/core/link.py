@@ -9,8 +9,7 @@ from eia_sec.common.config import FarmConfig
 from eia_sec.rollout.sim.core.records import Array
 
 NEGLIGIBLE: Final = 1e-12
-"""A packet with a smaller probability of arrival is not sent (ours); this bounds the sensors that a UAV has to check. A
-smaller utility counts as none."""
+"""A packet with a smaller probability of arrival is not sent (ours); this bounds the sensors that a UAV checks."""
 CHANCES: Final = 256
 """Intervals of the reach with precomputed bounds on a packet's probability of arrival."""
 
@@ -26,9 +25,6 @@ class RadioConstants(NamedTuple):
     half_exponent: Annotated[float, "a_3 / 2"]
     noise: Annotated[float, "k_B T B, mW"]
     bits: Annotated[float, "8 L"]
-    interference: Annotated[bool, "whether UAVs interfere (W14)"]
-    exact: Annotated[bool, "whether the Q function is exact (W15)"]
-    expected: Annotated[bool, "whether delivery is expected (W17)"]
     reach: Annotated[
         float,
         "horizontal distance beyond which a packet's probability of arrival is at most NEGLIGIBLE, m",
@@ -36,19 +32,14 @@ class RadioConstants(NamedTuple):
     level_max: Annotated[float, "AoI_max"]
     chances: Annotated[
         Array,
-        "bounds on a packet's probability of arrival without interference, over equal intervals of the squared "
-        "distance up to the reach. In interval b it lies between chances[b, 0] and chances[b, 1]",
+        "bounds on a packet's probability of arrival, over equal intervals of the squared distance up to the reach. "
+        "In interval b it lies between chances[b, 0] and chances[b, 1]",
     ]
-
-
-def _frequency(config: FarmConfig) -> float:
-    """Return f_c in the unit that the path losses use (W12)."""
-    return config.radio.carrier_mhz / (1000.0 if config.radio.frequency_unit == "ghz" else 1.0)
 
 
 def loss_at_one_metre(config: FarmConfig) -> float:
     """Return the free-space loss at 1 m, dB (W12)."""
-    return 20.0 * math.log10(1e-3) + 20.0 * math.log10(_frequency(config)) + 32.44
+    return 20.0 * math.log10(1e-3) + 20.0 * math.log10(config.radio.carrier_mhz) + 32.44
 
 
 def noise(config: FarmConfig) -> float:
@@ -64,13 +55,10 @@ def radio_constants(config: FarmConfig) -> RadioConstants:
         vegetation=math.log(10.0)
         / 10.0
         * radio.vegetation_scale
-        * _frequency(config) ** radio.vegetation_frequency_exponent,
+        * radio.carrier_mhz**radio.vegetation_frequency_exponent,
         half_exponent=0.5 * radio.vegetation_distance_exponent,
         noise=noise(config),
         bits=8.0 * radio.packet_bytes,
-        interference=radio.interference,
-        exact=radio.q_function == "exact",
-        expected=radio.delivery == "expected",
         reach=math.hypot(world.field_x, world.field_y),
         level_max=float(world.aoi_max),
         chances=np.tile((0.0, 1.0), (CHANCES, 1)),
@@ -80,18 +68,15 @@ def radio_constants(config: FarmConfig) -> RadioConstants:
 
 
 def chance_at(radio: RadioConstants, square: float) -> float:
-    """Return 1 - PLR without interference at a distance whose square is given, m^2."""
+    """Return 1 - PLR at a distance whose square is given, m^2."""
     signal = radio.power / square * math.exp(-radio.vegetation * square**radio.half_exponent)
     sinr = signal / radio.noise
-    error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
-    return math.exp(radio.bits * math.log1p(-error))
+    return math.exp(radio.bits * math.log1p(-0.5 * math.exp(-sinr)))
 
 
 def _chances(radio: RadioConstants, height: float) -> Array:
     """Return bounds [CHANCES, 2]. They are slightly wider than the function, so rounding cannot break them."""
     bounds = np.tile((0.0, 1.0), (CHANCES, 1))
-    if radio.half_exponent < 0.0 or radio.interference or radio.expected:
-        return bounds  # the probability is not monotonic, is not known beforehand, or is not drawn from
     squares = np.linspace(0.0, radio.reach * radio.reach, CHANCES + 1) + height * height
     chance = np.array([chance_at(radio, square) for square in squares.tolist()])
     bounds[:, 0] = chance[1:] * (1.0 - 1e-6) - 1e-11
@@ -102,10 +87,8 @@ def _chances(radio: RadioConstants, height: float) -> Array:
 def reach_of(radio: RadioConstants, height: float, least: float) -> float:
     """Return the horizontal distance beyond which a packet's probability of arrival is less, by bisection.
 
-    It is `radio.reach` if the power is not monotonic or no distance up to there is too far.
+    It is `radio.reach` if no distance up to there is too far.
     """
-    if radio.half_exponent < 0.0:
-        return radio.reach  # vegetation that thins out with distance makes the power non-monotonic
     low, high = 0.0, radio.reach
     for _ in range(200):
         middle = 0.5 * (low + high)

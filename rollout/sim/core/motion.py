@@ -77,11 +77,10 @@ def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
 
 @inlined
 def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Find each UAV's closest UAV, UAV_N (W10).
+    """Find each UAV's closest UAV in the same plane, UAV_N (W10).
 
-    Writes to the scratch `peer` and `apart_square` (the closest in the same plane), `neighbour` and `distance` (the
-    closest in the plane or anywhere), `crowded`, and `x` and `y` (the positions along each axis). Ties go to the lowest
-    index.
+    Writes to the scratch `neighbour`, `distance` and `apart_square`, `crowded`, and `x` and `y` (the positions along
+    each axis). Ties go to the lowest index.
     """
     fleet, position, x, y, peer, apart_square = c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square
     neighbour, distance, crowded = s.neighbour, s.distance, s.crowded
@@ -94,8 +93,6 @@ def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
     for u in range(len(position)):
         neighbour[u], distance[u] = peer[u], math.sqrt(apart_square[u])
         crowded[u] = 1.0 if distance[u] < fleet.collision else 0.0
-        if fleet.any_plane:
-            neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
 
 
 @allocation_free
@@ -112,26 +109,12 @@ def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Arr
 
 
 @allocation_free
-def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
-    """Return the closest UAV to a UAV, -1 if there is none, and its distance, m."""
-    nearest, least = -1, math.inf
-    for other in range(len(position)):
-        apart = separation(fleet, position, u, other)
-        if other != u and apart < least:
-            nearest, least = other, apart
-    return nearest, least
+def safety_risk(fleet: FleetConstants, previous: Array, neighbour: Indices, distance: Array, u: int) -> float:
+    """Return SR of a UAV, max(0, d(t - t_step) - d(t)) of the pair that is closest now, m (W8).
 
-
-@allocation_free
-def safety_risk(
-    fleet: FleetConstants, closing: bool, previous: Array, neighbour: Indices, distance: Array, u: int
-) -> float:
-    """Return SR of a UAV, m, for the pair that is closest now (W8).
-
-    The default counts max(0, d(t - t_step) - d(t)). The paper prints d(t) - d(t - t_step) for the same pair. Both are 0
-    if the pair is d_safety or more apart, or if there is no other UAV.
+    It is 0 if the pair is d_safety or more apart, or if there is no other UAV.
     """
     if neighbour[u] < 0 or distance[u] >= fleet.safety:
         return 0.0
-    change: float = distance[u] - separation(fleet, previous, u, neighbour[u])
-    return max(0.0, -change) if closing else change
+    closer: float = separation(fleet, previous, u, neighbour[u]) - distance[u]
+    return max(0.0, closer)

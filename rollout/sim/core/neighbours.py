@@ -15,7 +15,7 @@ HOLDING: Final = 1
 EMPTY: Final = 2
 """Only sensors that hold no data count."""
 WAITING: Final = 0.5
-"""Least AoI of a sensor that holds data; AoI is a whole number unless delivery is expected."""
+"""Least AoI of a sensor that holds data; AoI is a whole number."""
 
 
 @allocation_free

@@ -13,7 +13,7 @@ from eia_sec.rollout.sim.core.hindsight import note_packet
 from eia_sec.rollout.sim.core.link import CHANCES, NEGLIGIBLE, RadioConstants
 from eia_sec.rollout.sim.core.neighbours import block_around, gather, is_nearest
 from eia_sec.rollout.sim.core.planes import height_of
-from eia_sec.rollout.sim.core.records import Array, Indices
+from eia_sec.rollout.sim.core.records import Array
 from eia_sec.rollout.sim.core.tallies import add_sensor, tally_sensors
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -49,11 +49,9 @@ def received_power(radio: RadioConstants, square: float) -> float:
 
 
 @allocation_free
-def delivery(radio: RadioConstants, signal: float, interference: float) -> float:
-    """Return 1 - PLR = (1 - BER)^(8 L) from the signal and interference power, mW; 0 below NEGLIGIBLE."""
-    sinr = signal / (interference + radio.noise)
-    error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
-    chance = math.exp(radio.bits * math.log1p(-error))
+def delivery(radio: RadioConstants, signal: float) -> float:
+    """Return 1 - PLR = (1 - BER)^(8 L) from the signal's power, mW; 0 below NEGLIGIBLE (W13 to W16)."""
+    chance = math.exp(radio.bits * math.log1p(-0.5 * math.exp(-signal / radio.noise)))
     return chance if chance >= NEGLIGIBLE else 0.0
 
 
@@ -80,68 +78,19 @@ def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     return square
 
 
-@inlined
-def interfere(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Sum up the interference at each data collection UAV (W14).
-
-    Writes to `power` the power from the strongest sensor that each other UAV wakes, mW; 0 if interference is off.
-    Writes to `woken` the nearest sensor that each UAV wakes, -1 for none.
-    """
-    fleet, radio, position, sensor, woken, power = c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power
-    for k in range(len(power)):
-        power[k] = 0.0
-        woken[k] = -1
-    if radio.interference:
-        _wake(fleet, position, sensor, woken)
-        _disturb(fleet, radio, position, sensor, woken, power)
-
-
 @allocation_free
-def _wake(fleet: FleetConstants, position: Array, sensor: Array, woken: Indices) -> None:
-    """For each data collection UAV, find the nearest of the sensors that send to it."""
-    first, count = fleet.collectors, len(woken)
-    for j in range(sensor.shape[1]):
-        owner, apart = 0, math.inf
-        for k in range(count):
-            square = _square(position, first + k, sensor, j)
-            if square < apart:
-                owner, apart = k, square
-        if woken[owner] < 0 or apart < _square(position, first + owner, sensor, woken[owner]):
-            woken[owner] = j
-
-
-@allocation_free
-def _disturb(
-    fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
-) -> None:
-    """Add up the power that each UAV receives from the sensors that other UAVs wake, mW."""
-    first, count = fleet.collectors, len(power)
-    height = height_of(fleet, first)
-    for k in range(count):
-        for other in range(count):
-            if other != k and woken[other] >= 0:
-                square = _square(position, first + k, sensor, woken[other])
-                power[k] += received_power(radio, square + height * height)
-
-
-@allocation_free
-def _share_delivered(
-    radio: RadioConstants, square: float, height: float, interference: float, key: np.uint64, step: int, sensor: int
-) -> float:
-    """Return T_S: 1 or 0 by the packet's draw, or the probability itself in expected delivery (W17).
+def _arrives(radio: RadioConstants, square: float, height: float, key: np.uint64, step: int, sensor: int) -> bool:
+    """Return T_S, by the packet's draw (W17).
 
     Most draws fall outside the probability's bounds at that distance, so the probability is rarely computed.
     """
     uniform = draw(key, step, sensor)
     piece = min(CHANCES - 1, int(square * (CHANCES / (radio.reach * radio.reach))))
     if uniform < radio.chances[piece, 0]:
-        return 1.0
+        return True
     if uniform > radio.chances[piece, 1]:
-        return 0.0
-    chance = delivery(radio, received_power(radio, square + height * height), interference)
-    if radio.expected:
-        return chance
-    return 1.0 if uniform < chance else 0.0
+        return False
+    return uniform < delivery(radio, received_power(radio, square + height * height))
 
 
 @allocation_free
@@ -162,8 +111,8 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
     UAV's relay is in range (W4).
 
     Writes `utility` of the data collection UAVs (DCUF) and `served`, the number of sensors with AoI above 0 that
-    delivered (in expected delivery, the sum of their shares). Writes to the scratch `item`, the sensors that delivered,
-    and `share`, the share that each delivered. Updates `sensor_visit` and `hindsight` if visits are tracked.
+    delivered. Writes to the scratch `item`, the sensors that delivered. Updates `sensor_visit` and `hindsight` if
+    visits are tracked.
 
     Returns:
         the number of sensors that delivered.
@@ -177,8 +126,8 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
         farm.age,
         farm.age_due,
     )
-    apart_square, linked, interference, key, step = s.apart_square, s.linked, s.power, farm.key[0], farm.time[0]
-    cell_start, rising, around, square, sent, share = farm.cell_start, farm.rising, s.around, s.square, s.item, s.share
+    apart_square, linked, key, step = s.apart_square, s.linked, farm.key[0], farm.time[0]
+    cell_start, rising, around, square, sent = farm.cell_start, farm.rising, s.around, s.square, s.item
     utility, served = farm.utility, farm.served
     delivered, first, limit, due_now = 0, fleet.collectors, radio.reach * radio.reach, rising[0] == step
     height, least = height_of(fleet, first), 0.0 if due_now else LEAST_AGE
@@ -189,13 +138,15 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
         if linked[u - fleet.relays] == 1.0:
             found = gather(seen, block, x, y, least, math.inf, limit, sensor, cell_start, age, around, square)
         for entry in range(found):
-            j, apart, part = around[entry], square[entry], 0.0
-            if (age[j] > 0.0 or due[j] == step) and _belongs(fleet, position, apart_square, u, sensor, j, apart):
-                part = _share_delivered(radio, apart, height, interference[k], key, step, j)
-            if part > 0.0:
-                credit += age[j] * part
-                number += part if age[j] > 0.0 else 0.0
-                sent[delivered], share[delivered] = j, part
+            j, apart = around[entry], square[entry]
+            if not (age[j] > 0.0 or due[j] == step):
+                continue
+            if not _belongs(fleet, position, apart_square, u, sensor, j, apart):
+                continue
+            if _arrives(radio, apart, height, key, step, j):
+                credit += age[j]
+                number += 1.0 if age[j] > 0.0 else 0.0
+                sent[delivered] = j
                 delivered += 1
                 note_packet(c, farm, u, j)
         utility[u], served[k] = credit, number
@@ -222,7 +173,7 @@ def update_age(c: Constants, farm: Farm, s: Scratch, delivered: int) -> None:
         farm.cell_start,
         farm.time[0],
     )
-    rising, age, due, cycle, sent, share = farm.rising, farm.age, farm.age_due, farm.cycle, s.item, s.share
+    rising, age, due, cycle, sent = farm.rising, farm.age, farm.age_due, farm.cycle, s.item
     below, above, waiting = farm.age_below, farm.age_above, farm.waiting
     due_now = rising[0] == step
     if due_now:
@@ -233,12 +184,9 @@ def update_age(c: Constants, farm: Farm, s: Scratch, delivered: int) -> None:
                 due[j] += cycle[j]
             soonest = min(soonest, due[j])
         rising[0] = soonest
-    if due_now and not radio.expected:
         tally_sensors(seen, cell_start, age, below, above, waiting)
     for entry in range(delivered):
         j = sent[entry]
-        if not radio.expected and age[j] > 0.0:
+        if age[j] > 0.0:
             add_sensor(fleet, seen, sensor[0, j], sensor[1, j], -age[j], -1, below, above, waiting)
-        age[j] *= 1.0 - share[entry]
-    if radio.expected and (due_now or delivered > 0):
-        tally_sensors(seen, cell_start, age, below, above, waiting)
+        age[j] = 0.0

@@ -12,8 +12,7 @@ energy is already an amount, so t_step does not multiply it (W7).
 The sum of `relayed` (ours) is over the UAVs u that the relay serves, and with a base station also over those whose
 relay is joined to it only over this one: their utility and idle parts r_u in this step less r_u' without the links of
 this relay. It is a difference reward with the weight w, and 0 unless `farm.relay.require_link`. The weights are the
-options `farm.reward`. `farm.reward.positioning_sign` sets the sign of alpha_1, and `RewardConstants` holds all weights
-with their signs.
+options `farm.reward`, and `RewardConstants` holds them with their signs.
 
 If you change these equations, change the oracle `rollout/sim/reference/farm.py` too. If you change the positioning
 part, change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
@@ -26,7 +25,6 @@ from eia_sec.rollout.sim.conditions.links import join_relays
 from eia_sec.rollout.sim.core.arrays import Farm, Scratch
 from eia_sec.rollout.sim.core.compile import inlined
 from eia_sec.rollout.sim.core.constants import Constants
-from eia_sec.rollout.sim.core.link import NEGLIGIBLE
 from eia_sec.rollout.sim.core.motion import safety_risk
 
 POSITIONING: Final = 0
@@ -52,7 +50,7 @@ def _relayed(c: Constants, farm: Farm, s: Scratch, relay: int) -> float:
         join_relays(c.relay, farm.position, farm.gone, relay, math.inf, math.inf, s.joined_then, s.queue)
     for served in range(len(farm.assignment)):
         u, own = fleet.relays + served, farm.assignment[served]
-        if farm.utility[u] >= NEGLIGIBLE and (own == relay or (c.relay.chained and not s.joined_then[own])):
+        if farm.utility[u] > 0.0 and (own == relay or (c.relay.chained and not s.joined_then[own])):
             task = 0 if u < fleet.collectors else 1
             amount += (weight.utility[task] * farm.utility[u] - weight.idle[task]) * fleet.seconds
     return amount
@@ -62,7 +60,6 @@ def _relayed(c: Constants, farm: Farm, s: Scratch, relay: int) -> float:
 def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
     """Write the weighted parts of every UAV's reward into `parts` [n, K], and their sums into `reward` [n].
 
-    A utility below NEGLIGIBLE counts as none. That matters only in expected delivery, where shares never quite reach 0.
     A UAV that is gone earns 0.
     """
     fleet, weight, parts, seconds = c.fleet, c.reward, farm.parts, c.fleet.seconds
@@ -72,7 +69,7 @@ def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
         if farm.gone[u]:
             farm.reward[u] = 0.0
             continue
-        risk = safety_risk(fleet, weight.closing, s.previous, s.neighbour, s.distance, u)
+        risk = safety_risk(fleet, s.previous, s.neighbour, s.distance, u)
         parts[u, ENERGY] = weight.energy * farm.energy[u]
         parts[u, RISK] = weight.risk * risk * seconds
         parts[u, BOUNDARY] = weight.boundary * s.outside[u] * seconds
@@ -83,7 +80,7 @@ def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
         else:
             task = 0 if u < fleet.collectors else 1
             parts[u, UTILITY] = weight.utility[task] * farm.utility[u] * seconds
-            parts[u, IDLE] = weight.idle[task] * seconds if farm.utility[u] < NEGLIGIBLE else 0.0
+            parts[u, IDLE] = weight.idle[task] * seconds if farm.utility[u] == 0.0 else 0.0
             parts[u, MOTIVATION] = weight.motivation[task] * s.motivated[u] * seconds
         total = 0.0
         for part in range(parts.shape[1]):

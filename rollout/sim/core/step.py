@@ -27,7 +27,7 @@ from eia_sec.rollout.sim.core.compile import allocation_free, allocation_free_en
 from eia_sec.rollout.sim.core.constants import Constants
 from eia_sec.rollout.sim.core.motion import find_nearest, fly
 from eia_sec.rollout.sim.core.quadrants import point_to_age, point_to_level
-from eia_sec.rollout.sim.core.radio import interfere, send, update_age
+from eia_sec.rollout.sim.core.radio import send, update_age
 from eia_sec.rollout.sim.core.records import Float32, row_maker
 from eia_sec.rollout.sim.core.relays import assign_relays, measure_service
 from eia_sec.rollout.sim.core.rewards import reward_step
@@ -97,7 +97,6 @@ def _serve(address: int, e: int) -> None:
     if c.stress.some:
         change_cycles(c, farm)
     photograph(c, farm, s)
-    interfere(c, farm, s)
     delivered = send(c, farm, s)
     update_age(c, farm, s, delivered)
     reward_step(c, farm, s)

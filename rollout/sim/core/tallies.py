@@ -1,8 +1,8 @@
 """Running sums of VDF over plots and of AoI over sensor cells, from which quadrants are summed without a scan.
 
 A tally is two tables [rows + 1, columns]. For column i, `below[r, i]` sums the rows below r, and `above[r, i]` sums row
-r and the rows above it. A quadrant's sum is then the sum of part of one table row. Counters are integers unless
-delivery is expected, so adding to a tally gives the same bits as a recount.
+r and the rows above it. A quadrant's sum is then the sum of part of one table row. Counters are whole numbers,
+so adding to a tally gives the same bits as a recount.
 """
 
 from eia_sec.rollout.sim.core.cells import cell_of

@@ -160,7 +160,7 @@ def image_bounds(config: FarmConfig) -> tuple[float, float]:
 
 
 def chance_table(radio: RadioConstants, height: float) -> tuple[Array, float]:
-    """Return 1 - PLR without interference, [PIECES + 2], and the square of the distance at the last piece's end, m^2.
+    """Return 1 - PLR, [PIECES + 2], and the square of the distance at the last piece's end, m^2.
 
     The entries are those at equal steps of the squared horizontal distance; one more allows to look ahead there.
     """

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from eia_sec.common.config.farm.battery import LANDING
 from eia_sec.rollout.sim.conditions.battery import STILL
 from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.stations import station_places
@@ -21,7 +22,7 @@ def landed(farm: FarmState) -> NDArray[np.bool_]:
     way = np.linalg.norm(farm.position - farm.before, axis=1)
     gap = [np.linalg.norm(nearest_station(farm, u) - farm.position[u]) for u in range(len(way))]
     still = way <= STILL * farm.config.world.step_seconds
-    return np.asarray(still & (np.array(gap) <= farm.config.battery.landing) & ~farm.gone)
+    return np.asarray(still & (np.array(gap) <= LANDING) & ~farm.gone)
 
 
 def use_charge(farm: FarmState, payload: Array) -> None:

@@ -9,9 +9,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.special import erfc
 
-from eia_sec.common.config import FarmConfig, RadioConfig, RewardConfig
+from eia_sec.common.config import FarmConfig, RadioConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim.conditions.failures import failure_steps
 from eia_sec.rollout.sim.conditions.stress import patches
@@ -30,24 +29,19 @@ from eia_sec.rollout.sim.reference.ways import ways_of
 from eia_sec.rollout.sim.start import packet_key, start_levels, start_positions
 
 NEGLIGIBLE = 1e-12
-"""A packet with a smaller probability of arrival is not sent, and a smaller utility counts as none (ours)."""
+"""A packet with a smaller probability of arrival is not sent (ours)."""
 DIRECTIONS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / math.sqrt(2.0)
 """The four diagonals in the order in which ties are broken (W25)."""
 
 
-def carrier(radio: RadioConfig) -> float:
-    """Return f_c in the unit that the path losses use (W12)."""
-    return radio.carrier_mhz / 1000.0 if radio.frequency_unit == "ghz" else radio.carrier_mhz
-
-
 def free_space_loss(radio: RadioConfig, distance: Array | float) -> Array:
     """PL_FS = 20 log10(Dis) + 20 log10(f_c) + 32.44 dB, Dis in km (W12)."""
-    return np.asarray(20.0 * np.log10(np.asarray(distance) / 1000.0) + 20.0 * np.log10(carrier(radio)) + 32.44)
+    return np.asarray(20.0 * np.log10(np.asarray(distance) / 1000.0) + 20.0 * np.log10(radio.carrier_mhz) + 32.44)
 
 
 def vegetation_loss(radio: RadioConfig, distance: Array | float) -> Array:
     """PL_veg = a_1 f_c^a_2 Dis^a_3 dB, Dis in m (W12)."""
-    scale = radio.vegetation_scale * carrier(radio) ** radio.vegetation_frequency_exponent
+    scale = radio.vegetation_scale * radio.carrier_mhz**radio.vegetation_frequency_exponent
     return np.asarray(scale * np.asarray(distance) ** radio.vegetation_distance_exponent)
 
 
@@ -65,8 +59,7 @@ def noise_mw(radio: RadioConfig) -> float:
 def packet_loss(radio: RadioConfig, sinr: Array | float) -> Array:
     """PLR = 1 - (1 - BER)^(8 L) with BER = Q(sqrt(2 SINR)) (W15, W16)."""
     sinr = np.asarray(sinr)
-    ber = 0.5 * erfc(np.sqrt(sinr)) if radio.q_function == "exact" else 0.5 * np.exp(-sinr)
-    return np.asarray(1.0 - (1.0 - ber) ** (8 * radio.packet_bytes))
+    return np.asarray(1.0 - (1.0 - 0.5 * np.exp(-sinr)) ** (8 * radio.packet_bytes))
 
 
 def packet_draw(key: int, step: int, sensor: int) -> float:
@@ -78,11 +71,9 @@ def packet_draw(key: int, step: int, sensor: int) -> float:
     return float((z ^ (z >> 31)) >> 11) / 2.0**53
 
 
-def safety_risk(reward: RewardConfig, safety: float, now: float, before: float) -> float:
+def safety_risk(safety: float, now: float, before: float) -> float:
     """SR from d_U(t) and d(t - t_step) of the same pair, m (W8)."""
-    if now >= safety:
-        return 0.0
-    return max(0.0, before - now) if reward.risk == "closing" else now - before
+    return 0.0 if now >= safety else max(0.0, before - now)
 
 
 def densest_direction(own: Array, places: Array, value: Array) -> Array:
@@ -213,17 +204,17 @@ class ReferenceFarm(FarmState):
                 centre = self.plot_xy[x * world.plots_y + y]
                 due = (self.time - self.layout.plot_phase[x, y]) % cycles[x, y] == 0
                 if len(monitors) == 0:
-                    self._serve(self.vdf, (x, y), 0, 0.0, bool(due), world.vdf_max)
+                    self._serve(self.vdf, (x, y), 0, False, bool(due), world.vdf_max)
                     continue
                 u = monitors[np.argmin(((centre - self.position[monitors]) ** 2).sum(axis=1))]
                 dx, dy = x * width + grid_x - self.position[u, 0], y * depth + grid_y - self.position[u, 1]
                 distance = np.sqrt(dx[:, None] ** 2 + dy[None] ** 2 + world.height_monitoring**2)
                 quality = (distance < camera.image_distance).sum() / (camera.grid_x * camera.grid_y)
                 good = quality >= camera.plot_threshold and self.linked[u - world.communication_uavs]
-                self._serve(self.vdf, (x, y), int(u), float(good), bool(due), world.vdf_max)
+                self._serve(self.vdf, (x, y), int(u), bool(good), bool(due), world.vdf_max)
 
     def sensor_chances(self) -> tuple[NDArray[np.intp], Array]:
-        """Return each sensor's nearest data collection UAV and 1 - PLR there (W13, W14, W17)."""
+        """Return each sensor's nearest data collection UAV and 1 - PLR there (W13, W14, W17); nobody interferes."""
         radio, collectors = self.config.radio, self.living(2)
         if len(collectors) == 0:
             return np.zeros(self.config.world.sensors, np.intp), np.zeros(self.config.world.sensors)
@@ -231,41 +222,31 @@ class ReferenceFarm(FarmState):
         flat = (offset**2).sum(axis=2)
         owner = np.argmin(flat, axis=1)
         power = received_mw(radio, np.sqrt(flat + self.config.world.height_collection**2))
-        interference = np.zeros(len(collectors))
-        if radio.interference:
-            for other in range(len(collectors)):
-                woken = np.flatnonzero(owner == other)
-                if len(woken):
-                    strongest = woken[np.argmin(flat[woken, other])]
-                    interference += np.where(np.arange(len(collectors)) == other, 0.0, power[strongest])
-        sinr = power[np.arange(len(owner)), owner] / (interference[owner] + noise_mw(radio))
+        sinr = power[np.arange(len(owner)), owner] / noise_mw(radio)
         chance = 1.0 - packet_loss(radio, sinr)
         return collectors[owner], np.where(chance < NEGLIGIBLE, 0.0, chance)
 
     def _collect(self) -> None:
-        """DCUF and eq. AoI (W17 to W20); expected delivery resets a share of the counter."""
+        """DCUF and eq. AoI (W17 to W20)."""
         world = self.config.world
         owner, self.chance = self.sensor_chances()
         cycles = sensor_cycles(self)
         for j, u in enumerate(owner):
-            share = self.chance[j]
-            if self.config.radio.delivery == "bernoulli":
-                share = float(packet_draw(self.key, self.time, j) < share)
-            if share > 0.0 and not self.linked[u - world.communication_uavs]:
-                share = 0.0
+            arrives = packet_draw(self.key, self.time, j) < self.chance[j] and self.linked[u - world.communication_uavs]
             due = (self.time - self.layout.sensor_phase[j]) % cycles[j] == 0
-            self._serve(self.aoi, (j,), int(u), share, bool(due), world.aoi_max)
+            self._serve(self.aoi, (j,), int(u), bool(arrives), bool(due), world.aoi_max)
 
-    def _serve(self, counter: Array, item: tuple[int, ...], u: int, share: float, due: bool, cap: int) -> None:
-        """Credit a UAV with its share of a counter, raise the counter where a cycle ends, and take the share away."""
-        self.utility[u] += share * counter[item]
-        raised = min(counter[item] + 1.0, cap) if due else counter[item]
-        counter[item] = (1.0 - share) * raised
+    def _serve(self, counter: Array, item: tuple[int, ...], u: int, served: bool, due: bool, cap: int) -> None:
+        """Credit a UAV with a counter that it serves and reset it; raise the others where a cycle ends."""
+        if served:
+            self.utility[u] += counter[item]
+            counter[item] = 0.0
+        elif due:
+            counter[item] = min(counter[item] + 1.0, cap)
 
     def _reward(self, service_before: Array, motivated: NDArray[np.bool_]) -> None:
         """r_c, r_m and r_d; every part except the energy is multiplied by t_step, as printed."""
         weight, world, seconds = self.config.reward, self.config.world, self.config.world.step_seconds
-        sign = 1.0 if weight.positioning_sign == "printed" else -1.0
         self.parts = np.zeros((world.uavs, 8))
         for u, kind in enumerate(self.kind):
             if self.gone[u]:
@@ -273,11 +254,11 @@ class ReferenceFarm(FarmState):
             other, risk = self.nearest_uav(u), 0.0
             if other >= 0:
                 now, then = self.distance(u, other, self.position), self.distance(u, other, self.before)
-                risk = safety_risk(weight, world.safety_distance, now, then)
+                risk = safety_risk(world.safety_distance, now, then)
             energy, boundary = -weight.energy * self.energy[u], -weight.boundary * self.outside[u] * seconds
             self.parts[u, 1:4] = energy, -weight.collision_risk * risk * seconds, boundary
             if kind == 0:
-                self.parts[u, 0] = sign * weight.positioning * (self.service[u] - service_before[u]) * seconds
+                self.parts[u, 0] = -weight.positioning * (self.service[u] - service_before[u]) * seconds
                 self.parts[u, 7] = weight.relayed * relayed(self, u) * seconds
                 continue
             utility, idle, motivation = (
@@ -287,7 +268,7 @@ class ReferenceFarm(FarmState):
             )
             self.parts[u, 4:7] = (
                 utility * self.utility[u],
-                -idle * (self.utility[u] < NEGLIGIBLE),
+                -idle * (self.utility[u] == 0.0),
                 motivation * motivated[u],
             )
             self.parts[u, 4:7] *= seconds

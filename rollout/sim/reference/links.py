@@ -5,7 +5,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.rollout.sim.core.link import NEGLIGIBLE
 from eia_sec.rollout.sim.reference.state import FarmState
 from eia_sec.rollout.sim.stations import base_place
 
@@ -36,7 +35,7 @@ def relayed(farm: FarmState, relay: int) -> float:
     if farm.config.relay.chained:
         cut |= (farm.joined & ~joined_to_base(farm, relay))[farm.assignment]
     for u in np.flatnonzero(cut & farm.linked) + farm.config.world.communication_uavs:
-        if farm.utility[u] >= NEGLIGIBLE:
+        if farm.utility[u] > 0.0:
             monitor = farm.kind[u] == 1
             amount += (weight.monitoring if monitor else weight.collection) * farm.utility[u]
             amount += weight.monitoring_idle if monitor else weight.collection_idle

@@ -97,9 +97,8 @@ class FarmState:
         return np.flatnonzero((self.kind == kind) & ~self.gone)
 
     def nearest_uav(self, u: int) -> int:
-        """Return the closest UAV of the same plane, or of all (W10); -1 if there is none."""
-        kinds = (self.kind[u],) if self.config.reward.nearest == "plane" else (0, 1, 2)
-        others = [int(o) for kind in kinds for o in self.living(kind) if o != u]
+        """Return the closest UAV of the same plane (W10); -1 if there is none."""
+        others = [int(o) for o in self.living(int(self.kind[u])) if o != u]
         return min(others, key=lambda o: self.distance(u, o, self.position), default=-1)
 
     def served(self, relay: int) -> list[int]:

@@ -93,7 +93,6 @@ IMPOSSIBLE = [
     (WorldConfig, {"sensors": 2, "sites": ((1.0, 2.0, 0.0), (1.0, 2.0, 1.0))}, "sites names one place twice"),
     (RadioConfig, {"sensor_power_dbm": math.inf}, "sensor_power_dbm"),
     (CameraConfig, {"plot_threshold": 1.5}, "plot_threshold"),
-    (CameraConfig, {"grid_x": 0}, "grid_x"),
     (RelayConfig, {"capacity": -1}, "capacity"),
     (RewardConfig, {"boundary": math.inf}, "boundary"),
     (ObservationConfig, {"sensors": 0}, "sensors"),
@@ -110,7 +109,6 @@ IMPOSSIBLE = [
     (ReplayConfig, {"updates_per_step": -1.0}, "updates_per_step"),
     (ReplayConfig, {"capacity": 256, "warmup_steps": 1_000_000}, "warmup_steps"),
     (ExplorationConfig, {"noise_std_start": -0.1}, "noise_std_start"),
-    (ExplorationConfig, {"decay_share": 0.0}, "decay_share"),
     (RolloutConfig, {"environments": 0}, "environments"),
     (EvaluationConfig, {"farms": 0}, "farms"),
     (RunConfig, {"seed": -1}, "seed"),
@@ -139,8 +137,8 @@ def test_safety_distance_is_two_diagonal_steps():
 
 
 def test_exploration_falls_linearly_and_stays():
-    """The exploration noise falls linearly from start to end over its share of the run and stays there."""
-    noise = ExplorationConfig(noise_std_start=0.3, noise_std_end=0.1, decay_share=0.5)
-    assert [noise.noise_std(progress) for progress in (-1.0, 0.0, 0.25, 0.5, 1.0)] == pytest.approx(
+    """The exploration noise falls linearly from start to end over six tenths of the run and stays there."""
+    noise = ExplorationConfig(noise_std_start=0.3, noise_std_end=0.1)
+    assert [noise.noise_std(progress) for progress in (-1.0, 0.0, 0.3, 0.6, 1.0)] == pytest.approx(
         [0.3, 0.3, 0.2, 0.1, 0.1]
     )

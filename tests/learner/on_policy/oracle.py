@@ -157,13 +157,8 @@ class Oracle:
         actions = self.team.split_actions(rows.action)
         kind = self.team.groups.index(agent.group)
         own = torch.from_numpy(observations[kind][:, agent.index].copy())
-        mates = {
-            "own": [agent],
-            "type": [other for other in self.agents if other.group is agent.group],
-            "team": self.agents,
-        }[self.config.credit]
         assert rows.log_probability is not None
-        reward = rows.reward[:, [mate.place for mate in mates]].mean(axis=1) * self.config.reward_scale
+        reward = rows.reward[:, agent.place] * self.config.reward_scale
         with torch.no_grad():
             value = self.mixture(agent, own, team).numpy()
         advantage = self._gae(agent, reward, value, rows.flag)

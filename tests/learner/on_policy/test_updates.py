@@ -11,8 +11,7 @@ from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, mo
 CASES = {
     "ippo": ("ippo", {}),
     "ippo separate": ("ippo", {"parameters": "separate", "initialisation": "independent"}),
-    "ippo type credit": ("ippo", {"credit": "type", "time_limit": "bootstrap"}),
-    "ippo team credit": ("ippo", {"credit": "team", "reward_scale": 0.1}),
+    "ippo bootstrapped": ("ippo", {"time_limit": "bootstrap"}),
     "ippo without clips": ("ippo", {"gradient_clip": 0.0, "clip": 1e6, "target_kl": 0.0}),
     "ippo tight clips": ("ippo", {"gradient_clip": 0.01, "clip": 0.02, "target_kl": 0.0}),
     "ippo entropy": ("ippo", {"entropy_start": 0.5, "entropy_end": 0.1, "rate_end": 0.5, "target_kl": 0.0}),
@@ -20,7 +19,7 @@ CASES = {
     "ippo decoupled": ("ippo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo": ("mappo", {"target_kl": 0.0}),
     "mappo decoupled": ("mappo", {"objective": "decoupled", "target_kl": 0.0}),
-    "mappo separate": ("mappo", {"parameters": "separate", "credit": "team", "gae_lambda": 0.5}),
+    "mappo separate": ("mappo", {"parameters": "separate", "gae_lambda": 0.5}),
     "eia-ppo": ("eia-ppo", {"target_kl": 0.0}),
     "eia-ppo shared": ("eia-ppo", {"parameters": "shared", "ensemble_members": 3, "mixture_epsilon": 0.4}),
     "eia-ppo without ensemble": ("eia-ppo", {"ensemble": False, "target_kl": 0.0}),

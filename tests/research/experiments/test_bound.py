@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from eia_sec.common.config import FarmConfig, RewardConfig, WorldConfig
+from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import policy_of
@@ -59,12 +59,10 @@ def test_no_policy_exceeds_it(policy):
 
 
 def test_farms_without_a_bound_are_refused():
-    """Random phases and starts, relays paid for flying away, and cameras that image several plots at once."""
+    """Random phases and starts, and cameras that image several plots at once."""
     for world in (replace(WORLD, cycle_phase="random"), replace(WORLD, start_levels="random")):
         with pytest.raises(ConfigError, match="start at 0"):
             paid_plots(FarmConfig(world=world))
-    with pytest.raises(ConfigError, match="printed sign"):
-        upper_bound(FarmConfig(world=WORLD, reward=RewardConfig(positioning_sign="printed")), 0)
     wide = FarmConfig(world=replace(WORLD, plots_x=50, plots_y=50))
     assert not images_one_plot(wide)
     with pytest.raises(ConfigError, match="several plots"):

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
-from eia_sec.common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, RewardConfig, WorldConfig
+from eia_sec.common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, WorldConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, SimulationError
 from eia_sec.common.farm_observation import observation_parts
@@ -44,9 +44,8 @@ LOPSIDED = replace(
         start_levels="random",
         cycle_phase="random",
     ),
-    radio=RadioConfig(delivery="expected", sensor_power_dbm=20.0),
+    radio=RadioConfig(sensor_power_dbm=20.0),
     relay=RelayConfig(capacity=4),
-    reward=RewardConfig(nearest="any"),
 )
 LONELY = FarmConfig(
     world=WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=1, sensors=3, steps=40),

@@ -93,7 +93,6 @@ def test_the_wind_follows_from_the_seeds():
         (lambda: replace(BASE, wind=WindConfig(speed=11.0)), "top speed"),
         (lambda: WindConfig(speed=-1.0), "speed"),
         (lambda: WindConfig(direction=400.0), "direction"),
-        (lambda: WindConfig(gust_seconds=0.0), "gust_seconds"),
         (lambda: ZoneConfig((BOX[:2],)), "corners"),
         (lambda: ZoneConfig((((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)),)), "crosses itself"),
         (lambda: ZoneConfig((((0.0, 0.0), (9.0, 0.0), (4.0, 0.0), (4.0, 4.0)),)), "crosses itself"),

@@ -16,7 +16,8 @@ from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.core import compile as decorators
 from eia_sec.rollout.sim.core.compile import allocation_free, compiled_entry, sources_digest
 from eia_sec.rollout.sim.core.radio import draw
-from eia_sec.rollout.sim.reference.farm import packet_draw
+from eia_sec.rollout.sim.layout import make_layout
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm, packet_draw
 from eia_sec.rollout.sim.start import start_positions
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
@@ -207,19 +208,21 @@ def test_packets_are_drawn_alike_in_kernel_and_reference():
 
 
 def test_deliveries_follow_the_packet_loss():
-    """Over many episodes Bernoulli deliveries credit what expected delivery credits in the mean."""
-    random_levels = replace(SHORT, world=replace(SHORT.world, steps=1))
-    credit = {}
-    for delivery in ("bernoulli", "expected"):
-        config = replace(random_levels, radio=RadioConfig(delivery=delivery, sensor_power_dbm=5.0))
-        batch = FarmBatch(config, 300)
-        for index in range(300):
-            batch.reset(index, 0, index)
-        batch.step(np.zeros((300, 24), np.float32))
-        credit[delivery] = batch.utility[:, 8:].sum(axis=1)
-    deviation = (credit["bernoulli"] - credit["expected"]).std() / np.sqrt(300)
+    """Over many episodes the credits are in the mean what the chances of the packets in the air add up to."""
+    config = replace(SHORT, world=replace(SHORT.world, steps=1), radio=RadioConfig(sensor_power_dbm=5.0))
+    credit, expected = np.zeros(300), np.zeros(300)
+    batch = FarmBatch(config, 1)
+    for index in range(300):
+        batch.reset(0, 0, index)
+        farm = ReferenceFarm(config, make_layout(config, 0), index)
+        held = farm.aoi.copy()
+        action = np.zeros((1, 24), np.float32)
+        batch.step(action)
+        farm.step(action[0], batch.assignment[0])
+        credit[index], expected[index] = batch.utility[0, 8:].sum(), (farm.chance * held).sum()
+    deviation = (credit - expected).std() / np.sqrt(300)
     assert 0.0 < deviation < 0.5
-    assert abs((credit["bernoulli"] - credit["expected"]).mean()) < 4.0 * deviation
+    assert abs((credit - expected).mean()) < 4.0 * deviation
 
 
 def test_uavs_start_a_safe_distance_apart_in_their_plane():

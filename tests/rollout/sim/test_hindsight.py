@@ -16,7 +16,6 @@ from eia_sec.common.config import (
     RunConfig,
     WorldConfig,
 )
-from eia_sec.common.errors import ConfigError
 from eia_sec.rollout.envs.registry import make_environments
 from eia_sec.rollout.sim.batch import FarmBatch
 
@@ -138,12 +137,6 @@ def test_nothing_is_allocated_unless_visits_are_tracked():
         plots = world.plots_x * world.plots_y
         assert taken == [3 * tracked * 4 * number for number in (world.steps * 12, 4 * plots, 4 * world.sensors)]
         assert (batch.hindsight is None) == (not tracked)
-
-
-def test_expected_delivery_is_not_tracked():
-    """A share of a counter is no visit; the sentence names the option."""
-    with pytest.raises(ConfigError, match=r"farm\.radio\.delivery"):
-        FarmBatch(FarmConfig(radio=RadioConfig(delivery="expected")), 1, hindsight=True)
 
 
 def test_runs_track_only_what_they_ask_for():

@@ -20,7 +20,7 @@ def numbers(config: FarmConfig):
 
 def kernel_plr(radio: RadioConfig, distance: float) -> float:
     c = numbers(FarmConfig(radio=radio)).radio
-    return 1.0 - delivery(c, received_power(c, distance**2), 0.0)
+    return 1.0 - delivery(c, received_power(c, distance**2))
 
 
 @pytest.mark.parametrize(
@@ -78,24 +78,15 @@ def test_packet_loss_is_what_the_readings_say(power_dbm, distance, plr, toleranc
     assert kernel_plr(radio, distance) == pytest.approx(reference, abs=1e-12)
 
 
-def test_the_exact_q_function_loses_less_than_its_approximation():
-    """Q(x) < 0.5 exp(-x^2 / 2) for x above 0, so does the PLR built on it; the kernel agrees with the reference."""
-    approximate, exact = RadioConfig(), RadioConfig(q_function="exact")
-    for distance in (25.0, 35.0, 45.0):
-        sinr = received_mw(exact, distance) / noise_mw(exact)
-        assert packet_loss(exact, sinr) < packet_loss(approximate, sinr)
-        assert kernel_plr(exact, distance) == pytest.approx(packet_loss(exact, sinr), abs=1e-12)
-
-
 def test_reach_ends_where_packets_have_no_chance():
     """Just inside the reach a packet has more than the least chance, just outside less."""
-    for radio in (RadioConfig(), RadioConfig(q_function="exact"), RadioConfig(sensor_power_dbm=0.0)):
+    for radio in (RadioConfig(), RadioConfig(sensor_power_dbm=0.0)):
         config = FarmConfig(radio=radio)
         c, height = numbers(config).radio, config.world.height_collection
         assert height < c.reach < 100.0
         inside, outside = ((c.reach * scale) ** 2 + height**2 for scale in (0.999, 1.001))
-        assert delivery(c, received_power(c, inside), 0.0) >= 1e-12
-        assert delivery(c, received_power(c, outside), 0.0) == 0.0
+        assert delivery(c, received_power(c, inside)) >= 1e-12
+        assert delivery(c, received_power(c, outside)) == 0.0
 
 
 def test_whole_numbers_in_a_configuration_become_the_kernels_floats():

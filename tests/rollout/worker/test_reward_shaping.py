@@ -64,7 +64,7 @@ def paid(chunk):
         (0.995, 1.0, {}),
         (0.9, 0.5, {"positioning": 3.0}),
         (1.0, 1.0, {}),
-        (0.97, 2.0, {"positioning_sign": "printed"}),
+        (0.97, 2.0, {"positioning": 0.5}),
     ],
 )
 def test_relays_are_paid_for_where_they_stand(discount, seconds, weights):
@@ -72,10 +72,9 @@ def test_relays_are_paid_for_where_they_stand(discount, seconds, weights):
     config = configured(discount, seconds, **weights)
     chunk, seen = flown(config)
     steps = [(service, parts) for time, service, parts in seen if time > 0]
-    sign = 1.0 if weights.get("positioning_sign") == "printed" else -1.0
     wanted = np.array([parts.sum(axis=1) for _, parts in steps])
     for row, (service, parts) in zip(wanted, steps, strict=True):
-        level = sign * config.farm.reward.positioning * service * seconds
+        level = -config.farm.reward.positioning * service * seconds
         row[:2] += (1.0 - discount) * level - parts[:2, POSITIONING]
     assert len(steps) == STEPS
     assert sum(time == 0 for time, *_ in seen) > 2

@@ -81,12 +81,6 @@ MUTATIONS = (
         "(np.uint64(1 + 0 * step) <<",
     ),
     one(
-        "a UAV's own sensor disturbs it",
-        "sim/core/radio.py",
-        "if other != k and woken[other] >= 0:",
-        "if woken[other] >= 0:",
-    ),
-    one(
         "sensors at the edge of the reach are missed",
         "sim/core/link.py",
         "return high * (1.0 + 1e-9)",

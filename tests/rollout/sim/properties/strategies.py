@@ -77,7 +77,6 @@ def sections() -> dict[str, type]:
 COUNTS = st.one_of(st.integers(1, 5), st.integers(1, 24))
 SIDES = st.one_of(st.sampled_from([40.0, 90.0, 170.0, 400.0]), st.floats(40.0, 420.0).map(lambda side: round(side, 2)))
 PLOT_SIDES = st.sampled_from([4.0, 7.0, 12.5, 20.0, 40.0])
-WEIGHTS = st.sampled_from([0.0, 0.3, 1.0, 2.5])
 SIGNED = st.sampled_from([-1.0, 0.0, 0.25, 1.0, 6.0])
 
 
@@ -123,7 +122,6 @@ def worlds(
         height_communication=draw(st.sampled_from([18.0, 22.0, 60.0])),
         height_monitoring=draw(st.sampled_from([5.0, 18.0, 20.0])),
         height_collection=draw(st.sampled_from([2.0, 18.0, 22.0])),
-        collision_distance=draw(st.sampled_from([0.5, 2.0, 30.0])),
         **ground,
     )
     return replace(world, **{name: draw(choice) for name, choice in switches(WorldConfig).items()})
@@ -140,15 +138,11 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
         },
         "camera": {
             "image_distance": st.sampled_from([4.1237, 19.1357, 25.3712, 40.7172, 120.0, 1000.0]),
-            "grid_x": st.integers(1, 6),
-            "grid_y": st.integers(1, 6),
             "plot_threshold": st.sampled_from([0.0, 0.3, 0.75, 1.0]),
         },
         "relay": {
             "capacity": st.one_of(st.just(0), st.integers(least, least + 4)),
             "link_range": st.sampled_from([30.0, 61.5, 150.0]),
-            **{name: WEIGHTS for name in ("weight_centroid", "weight_farthest", "weight_relays", "cost_distance")},
-            "cost_link": WEIGHTS,
         },
         "reward": {name: SIGNED for name, kind in weights if kind is float and name not in APART},
         "observation": {

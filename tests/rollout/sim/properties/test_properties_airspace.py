@@ -58,7 +58,6 @@ def airspaces(draw: st.DrawFn, configs: st.SearchStrategy[FarmConfig]) -> FarmCo
         speed=slowest * draw(st.sampled_from([0.0, 0.3, 1.0])),
         direction=draw(st.sampled_from([-1.0, 0.0, 30.0, 270.0])),
         gusts=slowest * draw(st.sampled_from([0.0, 0.2, 3.0])),
-        gust_seconds=draw(st.sampled_from([0.01, 1.0, 10.0])),
     )
     given_zones = tuple(draw(st.lists(polygons(world), max_size=3)))
     room = int(0.1 * world.field_x * world.field_y / LARGEST_DRAWN)
@@ -225,7 +224,7 @@ def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress:
         battery=battery,
         relay=replace(config.relay, require_link=True),
         reward=replace(config.reward, relayed=0.5),
-        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True, plan=2, plan_paths=12),
+        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True, plan=2),
     )
     flight = replace(flight, config=with_plans_that_fit(config))
     batch, _, positions = started(flight)
@@ -248,7 +247,6 @@ def led(draw: st.DrawFn, configs: st.SearchStrategy[FarmConfig]) -> FarmConfig:
         zones=True,
         route=route,
         plan=draw(st.integers(0 if route else 1, 3)),
-        plan_paths=draw(st.integers(9, 14)),
     )
     control = replace(config.control, monitoring_inset=draw(st.sampled_from([0.5, 0.36, 0.1])))
     zones = ZoneConfig(given_zones, draw(st.integers(0, room)))

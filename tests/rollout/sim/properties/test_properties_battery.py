@@ -24,7 +24,6 @@ def batteries(draw: st.DrawFn) -> BatteryConfig:
         capacity=draw(st.sampled_from([30.0, 200.0, 900.0, 1e6])),
         stations=draw(st.integers(1, 7)),
         power=draw(st.sampled_from([1.0, 50.0, 1000.0])),
-        landing=draw(st.sampled_from([2.0, 15.3, 300.0])),
     )
 
 
@@ -72,7 +71,7 @@ def test_each_battery_balances(flight: Flight, battery: BatteryConfig):
 
 def test_a_uav_that_has_landed_charges_and_goes_on():
     """At a station it needs only its payload's power, and its battery fills."""
-    config = FarmConfig(battery=BatteryConfig(capacity=3000.0, stations=1, power=500.0, landing=10.0))
+    config = FarmConfig(battery=BatteryConfig(capacity=3000.0, stations=1, power=500.0))
     farms = FarmBatch(config, 1)
     farms.reset(0, 3, 1)
     station = station_places(config)[0]

@@ -71,7 +71,7 @@ def sensors(course: Course) -> Tally:
     flat = course.position[1:, course.kinds == 2, None] - course.layout.sensor_xy
     distance = np.sqrt((flat**2).sum(axis=3) + config.world.height_collection**2)
     chance = 1.0 - packet_loss(radio, received_mw(radio, distance) / noise_mw(radio))
-    sure = (chance == 1.0) & (not radio.interference)
+    sure = chance == 1.0
     return Tally(
         course.aoi[:-1],
         course.aoi[1:],
@@ -117,31 +117,24 @@ def tallies(course: Course) -> tuple[Tally, Tally]:
     return sensors(course), plots(course)
 
 
-def whole(course: Course, tally: int) -> bool:
-    """Return whether these counters hold whole numbers: all but the AoI of expected delivery do."""
-    return tally == 1 or course.flight.config.radio.delivery == "bernoulli"
-
-
 @dose(12)
 @given(flights())
 def test_counters_stay_between_nothing_and_their_cap(flight):
-    """AoI and VDF lie in 0..max, and are whole numbers unless delivery is expected."""
+    """AoI and VDF lie in 0..max, and are whole numbers."""
     course = fly(flight)
-    for index, tally in enumerate(tallies(course)):
+    for tally in tallies(course):
         values = np.concatenate([tally.before, tally.after])
         assert ((values >= 0.0) & (values <= tally.most)).all()
-        assert not whole(course, index) or (values == np.rint(values)).all()
+        assert (values == np.rint(values)).all()
 
 
 @dose(12)
 @given(flights())
 def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
-    """No counter exceeds its unserved value, and whole ones are either at that value or at 0."""
+    """Every counter is either at its unserved value or at 0."""
     course = fly(flight)
-    for index, tally in enumerate(tallies(course)):
-        assert (tally.after <= tally.raised).all()
-        if whole(course, index):
-            assert ((tally.after == tally.raised) | (tally.after == 0.0)).all()
+    for tally in tallies(course):
+        assert ((tally.after == tally.raised) | (tally.after == 0.0)).all()
 
 
 @dose(20)
@@ -149,11 +142,9 @@ def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
 def test_counters_fall_only_where_a_uav_could_serve_them(flight):
     """Served means: by the nearest UAV of the right kind, near enough, with its relay in range; then it also must."""
     course = fly(flight)
-    for index, tally in enumerate(tallies(course)):
+    for tally in tallies(course):
         assert not ((tally.share > 0.0) & ~tally.possible.any(axis=1)).any()
-        # In expected delivery a chance that rounds to just below 1 leaves a rest.
-        rest = 0.0 if whole(course, index) else 1e-9
-        assert (tally.after[tally.certain.any(axis=1)] <= rest).all()
+        assert (tally.after[tally.certain.any(axis=1)] == 0.0).all()
 
 
 @dose(20)
@@ -161,21 +152,20 @@ def test_counters_fall_only_where_a_uav_could_serve_them(flight):
 def test_every_unit_is_credited_once_and_to_who_served_it(flight):
     """Per step, the credits sum to what fell, and each UAV has what it alone could serve, at most all it could."""
     course = fly(flight)
-    for index, tally in enumerate(tallies(course)):
+    for tally in tallies(course):
         fell = tally.before * tally.share
-        tolerance = 0.0 if whole(course, index) else 1e-9
-        np.testing.assert_allclose(tally.credit.sum(axis=1), fell.sum(axis=1), rtol=0.0, atol=tolerance)
+        np.testing.assert_array_equal(tally.credit.sum(axis=1), fell.sum(axis=1))
         alone = tally.possible & (tally.possible.sum(axis=1, keepdims=True) == 1)
         least, most = ((who * fell[:, None]).sum(axis=2) for who in (alone, tally.possible))
-        assert (tally.credit >= least - tolerance).all()
-        assert (tally.credit <= most + tolerance).all()
+        assert (tally.credit >= least).all()
+        assert (tally.credit <= most).all()
     assert not course.utility[:, course.kinds == 0].any()
 
 
 @dose(12)
 @given(flights())
 def test_sensors_served_are_counted_once_and_for_who_served_them(flight):
-    """`served_sensors` counts the shares delivered by sensors that held data."""
+    """`served_sensors` counts the deliveries of sensors that held data."""
     course = fly(flight)
     tally = sensors(course)
     share = tally.share * (tally.before > 0.0)

@@ -97,8 +97,7 @@ def test_relays_are_paid_for_the_change_of_their_service(flight):
     """D_c is that of the positions and the assignment, and only relays are paid for its change."""
     course, weight = fly(flight), flight.config.reward
     np.testing.assert_allclose(course.service, [service(course, step) for step in range(course.steps + 1)], **EXACT)
-    sign = 1.0 if weight.positioning_sign == "printed" else -1.0
-    scale = sign * weight.positioning * flight.config.world.step_seconds
+    scale = -weight.positioning * flight.config.world.step_seconds
     relays = course.kinds == 0
     np.testing.assert_allclose(part(course, "positioning")[:, relays], scale * np.diff(course.service, axis=0), **EXACT)
     assert not part(course, "positioning")[:, ~relays].any()
@@ -107,17 +106,16 @@ def test_relays_are_paid_for_the_change_of_their_service(flight):
 @dose(12)
 @given(flights())
 def test_risk_is_that_of_the_closest_pair(flight):
-    """The change of the distance to a closest UAV, under d_safety; of several as close, any may count."""
+    """What the distance to a closest UAV falls by, under d_safety; of several as close, any may count."""
     course, weight, world = fly(flight), flight.config.reward, flight.config.world
     place = course.place()
     apart = np.linalg.norm(place[:, :, None] - place[:, None], axis=3)
     now, before = apart[1:], apart[:-1]
-    strangers = (course.kinds[:, None] != course.kinds) & (weight.nearest == "plane")
+    strangers = course.kinds[:, None] != course.kinds
     now = np.where(strangers | np.eye(len(strangers), dtype=bool), np.inf, now)
     least = now.min(axis=2, keepdims=True)
     closest = np.isfinite(now) & (now <= least + 1e-9)
-    change = np.where(closest, now - before, 0.0)
-    risk = np.maximum(0.0, -change) if weight.risk == "closing" else change
+    risk = np.maximum(0.0, np.where(closest, before - now, 0.0))
     expected = -weight.collision_risk * world.step_seconds * risk
     risk = part(course, "risk")[:, :, None]
     near, far = (least[..., 0] < world.safety_distance + margin for margin in (-1e-9, 1e-9))

@@ -88,7 +88,6 @@ def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reac
 def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
     """In a step without utility, as while its link is down, a UAV makes no visit, and nothing corrects that step."""
     config = linked(flight.config, reach, 1.0)
-    config = replace(config, radio=replace(config.radio, delivery="bernoulli"))
     batch = FarmBatch(config, 1, hindsight=True)
     begin(replace(flight, config=config), batch)
     idle = []
@@ -104,7 +103,7 @@ def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
 def test_any_flight_with_a_base_station_equals_the_reference(flight: Flight, reach: float, base: str):
     """Every quantity after every step, plans too, with a relay that fails, within the bounds of the observation."""
     config = failing(linked(flight.config, reach, 0.5, base))
-    seen = replace(config.observation, plan=2, plan_paths=12)
+    seen = replace(config.observation, plan=2)
     flight = replace(flight, config=with_plans_that_fit(replace(config, observation=seen)))
     batch, relays = begin(flight), flight.config.world.communication_uavs
     farm = reference_of(flight, batch)

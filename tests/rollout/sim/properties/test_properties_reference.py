@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.rollout.envs.spaces import row_box
 from eia_sec.rollout.sim.batch import FarmBatch
-from eia_sec.rollout.sim.reference.farm import DIRECTIONS, ReferenceFarm
-from eia_sec.rollout.sim.reference.views import observe
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.tolerances import ROUGH, observation_tolerance
@@ -62,21 +61,6 @@ def assert_least_cost(batch: FarmBatch, reference: ReferenceFarm) -> None:
     np.testing.assert_allclose(cost, reference.assignment_cost, rtol=1e-9, atol=1e-9)
 
 
-def agree_on_directions(batch: FarmBatch, reference: ReferenceFarm) -> None:
-    """Let the reference see our D_AoI where rounding decides: shares of expected delivery sum up to one's last bit."""
-    if reference.config.radio.delivery == "bernoulli":
-        return
-    for u in reference.living(2):
-        ours, (right, upper) = batch.direction[0, u], (reference.layout.sensor_xy >= reference.position[u]).T
-        quadrants = (right & upper, ~right & upper, ~right & ~upper, right & ~upper)
-        sums = np.array([reference.aoi[quadrant].sum() for quadrant in quadrants])
-        fine = [DIRECTIONS[best] for best in np.flatnonzero(sums >= sums.max() - CLOSE)]
-        fine += [np.zeros(2)] if sums.max() < CLOSE else []
-        assert any(np.allclose(ours, direction) for direction in fine)
-        reference.direction[u] = ours
-    reference.observation = observe(reference)
-
-
 def reference_of(
     flight: Flight, batch: FarmBatch, positions: np.ndarray | None = None, kind: type[ReferenceFarm] = ReferenceFarm
 ) -> ReferenceFarm:
@@ -92,12 +76,10 @@ def reference_of(
 def flown_beside(flight: Flight, batch: FarmBatch, reference: ReferenceFarm, steps: int = 20) -> Iterator[None]:
     """Fly on both farms; check at the start and after every step that all is equal and the observation in bounds."""
     box = row_box(flight.config)
-    agree_on_directions(batch, reference)
     assert_equal(batch, reference)
     for action in flight.actions()[:steps]:
         batch.step(action[None])
         reference.step(action, batch.assignment[0])
-        agree_on_directions(batch, reference)
         assert_equal(batch, reference)
         assert box.contains(batch.observation[0])
         yield

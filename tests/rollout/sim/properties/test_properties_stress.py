@@ -51,7 +51,7 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
     """Counters, rewards and observations are the reference farm's."""
     config = stressed(flight.config, stress)
-    planning = replace(config.observation, route=False, plan=3, plan_paths=14)
+    planning = replace(config.observation, route=False, plan=3)
     flight = replace(flight, config=with_plans_that_fit(replace(config, observation=planning)))
     batch = begin(flight)
     farm = reference_of(flight, batch)
