@@ -3,14 +3,20 @@
 import contextlib
 import io
 import itertools
-from collections.abc import Sequence
-from dataclasses import is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import tyro
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructTypeInfo,
+)
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
@@ -18,7 +24,8 @@ from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import from_toml, with_setting
-from eia_sec.common.config.presets import preset
+from eia_sec.common.config.maps import FrozenMap
+from eia_sec.common.config.presets import PRESETS, preset
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
 from eia_sec.deploy.exit_codes import USAGE
@@ -28,6 +35,8 @@ T = TypeVar("T")
 
 SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
 """Short names of options."""
+
+PRESET_HELP: Final = f"Configuration to begin from: {', '.join(PRESETS)}."
 
 _REGISTRY: Final = ConstructorRegistry()
 
@@ -41,6 +50,36 @@ def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones, Areas) else None
 
 
+@_REGISTRY.primitive_rule
+def _map_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Mapping[str, Any]] | None:
+    """Read a map as KEY=VALUE ..., each an argument of its own."""
+    if info.type_origin is not Mapping:
+        return None
+    value = get_args(info.type)[1]
+
+    def read(words: list[str]) -> Mapping[str, Any]:
+        pairs = [word.partition("=") for word in words]
+        if not all(key and equals for key, equals, _ in pairs):
+            raise ValueError("entries are KEY=VALUE, with spaces between")
+        return FrozenMap({key: value(text) for key, _, text in pairs})
+
+    def written(entries: Mapping[str, Any]) -> list[str]:
+        return [f"{key}={entry}" for key, entry in entries.items()]
+
+    kind = "TEXT" if value is str else value.__name__.upper()
+    return PrimitiveConstructorSpec("*", f"[KEY={kind} ...]", read, lambda held: isinstance(held, Mapping), written)
+
+
+def _with_entries(given: Any, parsed: Any) -> Any:
+    """Return parsed options whose maps have the entries of the given ones, too; an empty map stays empty."""
+    changes = {}
+    for field in fields(parsed):
+        before, now = getattr(given, field.name, None), getattr(parsed, field.name)
+        if isinstance(now, Mapping) and isinstance(before, Mapping) and now:
+            changes[field.name] = FrozenMap({**before, **now})
+    return replace(parsed, **changes)
+
+
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
     """Return the configuration of `--preset`, `--config`, `--algorithm` and `--farm-file`; other options act on it.
 
@@ -51,6 +90,8 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
     """
     farm_file = _value_of(arguments, "--farm-file")
     config = _named_configuration(arguments, default)
+    if name := _value_of(arguments, "--env") or _value_of(arguments, "--env.name"):
+        config = config.with_environment(name)
     if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
         config = config.with_algorithm(name)
     return with_farm_file(config, Path(farm_file)) if farm_file else config
@@ -119,6 +160,10 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
                 _refuse_without_effect(given, spelt)
             parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
         settings = getattr(parsed, "settings", None)
+        if isinstance(given, RunConfig) and isinstance(settings, RunConfig):
+            env, algorithm = _with_entries(given.env, settings.env), _with_entries(given.algorithm, settings.algorithm)
+            settings = replace(settings, env=env, algorithm=algorithm)
+            parsed = replace(parsed, settings=settings)  # type: ignore[type-var]  # a command's options are a dataclass
         if isinstance(settings, RunConfig):
             _refuse_switched_off(settings, _keys(spelt))
         if isinstance(settings, RunConfig) and _value_of(arguments, "--farm-file"):

@@ -1,6 +1,5 @@
 """The policy that a run's actors begin as (`algorithm.start_policy`), in place of fresh ones."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +13,12 @@ from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, PolicyError
 from eia_sec.common.farm import farm_environment, farm_of
-from eia_sec.common.names import NAME
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.team import Float32, GroupSpec, TeamSpec
 from eia_sec.rollout.shipped_policies import SHIPPED, is_file, policy_path, preset_of
 
 MISFIT: Final = (
-    'Observations, actions or networks differ. Leave the option empty ("") to begin with fresh actors, '
+    "Observations, actions or networks differ. Leave the option empty to begin with fresh actors, "
     "or name other types in it."
 )
 StartParameters = tuple[Float32 | None, ...]
@@ -29,7 +27,8 @@ Names = Mapping[str, tuple[str, ...]]
 """The names of each type's observations."""
 CONFIG: Final = "config.toml"
 """File in a run directory, beside its policy, that says what the policy observes."""
-_PAIR: Final = re.compile(rf"({NAME.pattern})\s*=\s*(.+)")
+ALL: Final = "all"
+"""Key of `algorithm.start_policy` that stands for every type which the policy fits."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,19 @@ def start_parameters(config: RunConfig, team: TeamSpec) -> StartParameters:
     """
     wanted = _wanted(config, team)
     sources = {name: _source(name) for name in set(wanted.values())}
-    own, named = _observed(config), bool(_pairs(_option(config)))
+    own, named = _observed(config), ALL not in _named(config)
     found: list[Float32 | None] = []
     for group in team.groups:
         source = sources.get(wanted.get(group.name, ""))
         names = own.get(group.name)
         flat = None if source is None else _begun(config.on_policy, group, names, source, more=named)
         if named and source is not None and flat is None:
-            raise PolicyError(f"{_cited(config)}: {group.name} agents of this run do not fit that policy. {MISFIT}")
+            raise PolicyError(
+                f"algorithm.start_policy: {group.name} agents of this run do not fit {wanted[group.name]!r}. {MISFIT}"
+            )
         found.append(flat)
     if wanted and all(flat is None for flat in found):
-        raise PolicyError(f"{_cited(config)} fits no type of this run. {MISFIT}")
+        raise PolicyError(f"algorithm.start_policy {_named(config)[ALL]!r} fits no type of this run. {MISFIT}")
     return tuple(found) if wanted else ()
 
 
@@ -82,36 +83,21 @@ def start_sentence(config: RunConfig, team: TeamSpec, start: StartParameters) ->
     return "; ".join([*parts, *([f"fresh actors: {', '.join(fresh)}"] if fresh else [])])
 
 
-def _option(config: RunConfig) -> str:
-    return config.on_policy.start_policy if config.learns_on_policy else ""
-
-
-def _cited(config: RunConfig) -> str:
-    return f"algorithm.start_policy {_option(config)!r}"
-
-
-def _pairs(text: str) -> dict[str, str]:
-    """Return the policies of the types that a text type=policy, .. names; nothing if it is the name of one policy."""
-    parts = [part.strip() for part in text.split(",")]
-    found = [_PAIR.fullmatch(part) for part in parts if part]
-    if not any(found) or is_file(Path(text)):
-        return {}
-    pairs = {pair[1]: pair[2] for pair in found if pair}
-    if len(pairs) < len(found):
-        raise PolicyError(
-            f"algorithm.start_policy must be one policy, or type=policy with commas between and each type once, "
-            f"not {text!r}."
-        )
-    return pairs
-
-
 def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
     """Return the name of the policy that each type is to begin as, of those that are not to begin fresh."""
-    text, types = _option(config), [group.name for group in team.groups]
-    pairs = _pairs(text)
-    if unknown := [kind for kind in pairs if kind not in types]:
-        raise PolicyError(f"{_cited(config)} names {unknown[0]!r}, but the types are {', '.join(types)}.")
-    return pairs or dict.fromkeys(types if text else (), text)
+    named = {kind: name for kind, name in _named(config).items() if name}
+    types = [group.name for group in team.groups]
+    if set(named) == {ALL}:
+        return dict.fromkeys(types, named[ALL])
+    if unknown := [kind for kind in named if kind not in types]:
+        raise PolicyError(
+            f"algorithm.start_policy names {unknown[0]!r}, but the types are {', '.join(types)}; {ALL} stands alone."
+        )
+    return named
+
+
+def _named(config: RunConfig) -> Mapping[str, str]:
+    return config.on_policy.start_policy if config.learns_on_policy else {}
 
 
 def _source(name: str) -> _Source:

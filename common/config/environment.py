@@ -1,11 +1,14 @@
 """The environment of a run: one of this package, such as the farm, or any PettingZoo parallel environment."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from eia_sec.common.config.checks import within
+from eia_sec.common.config.maps import FrozenMap, freeze
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.names import is_name
 
 FARM: Final = "farm"
 """Name of the farm, which FarmConfig configures."""
@@ -22,8 +25,8 @@ class EnvConfig:
     that returns one, for instance mpe2:simple_spread_v3."""
     arguments: str = "{}"
     """Keyword arguments of the environment as a JSON object, for instance {"N": 3}."""
-    types: str = ""
-    """Types of agents by name, prefix=type separated by commas; empty: each name without its number."""
+    types: Mapping[str, str] = FrozenMap()
+    """Types of agents by the beginning of their names; others have their name without its number."""
     steps: int = 0
     """Steps after which an episode is truncated; 0 leaves truncation to the environment."""
 
@@ -40,7 +43,11 @@ class EnvConfig:
         if not all(part.isidentifier() for part in parts):
             raise ConfigError(f"env.name must be farm or module:name, not {self.name!r}.")
         self.keywords()
-        self.prefixes()
+        freeze(self, "types")
+        if unnamed := [prefix for prefix, kind in self.types.items() if not is_name(kind)]:
+            raise ConfigError(
+                f"env.types gives {unnamed[0]!r} the type {self.types[unnamed[0]][:80]!r}, which is no name."
+            )
 
     @property
     def is_third_party(self) -> bool:
@@ -56,10 +63,3 @@ class EnvConfig:
         if not isinstance(found, dict):
             raise ConfigError('env.arguments must be a JSON object, {"N": 3} for instance.')
         return found
-
-    def prefixes(self) -> dict[str, str]:
-        """Return `types` as a map from prefix to type; raise ConfigError when it is none."""
-        pairs = [part.strip().partition("=") for part in self.types.split(",") if part.strip()]
-        if not all(prefix and equals and kind for prefix, equals, kind in pairs):
-            raise ConfigError(f"env.types must be prefix=type with commas between, not {self.types!r}.")
-        return {prefix.strip(): kind.strip() for prefix, _, kind in pairs}

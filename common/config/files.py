@@ -1,7 +1,7 @@
 """Writes configurations as TOML, reads them over a base, compares them and computes their digest.
 
-A section is a nested dataclass, for instance `[farm.world]`, and a key is a field. A file may hold any part of the
-configuration; missing keys keep the base's values.
+A section is a nested dataclass, for instance `[farm.world]`, or a map, for instance `[algorithm.discounts]`, and a key
+is a field or an entry. A file may hold any part of the configuration; missing keys keep the base's values.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
@@ -22,15 +22,22 @@ from eia_sec.common.config.farm.polygons import MAX_CORNERS
 from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites
 from eia_sec.common.config.farm.stress import MAX_AREAS, Area, Areas
 from eia_sec.common.config.farm.zones import MAX_ZONES, Zones
+from eia_sec.common.config.maps import without_entries
 from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
+FORMAT: Final = 1
+"""Number of the form of a saved configuration. It rises when an option is renamed, removed or means something else."""
+_FORMAT_KEY: Final = "format"
+
 Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
 """The value of an option."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
+"""A key of TOML that needs no quotes."""
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
@@ -43,24 +50,38 @@ def flatten(config: Any) -> dict[str, Value]:
 
     Sections that the algorithm does not read are left out.
     """
-    flat: dict[str, Value] = {}
+    return {f"{section}.{name}" if section else name: value for section, name, value in _options(config)}
+
+
+def _options(config: Any, prefix: str = "") -> Iterator[tuple[str, str, Value]]:
+    """Yield the section, name and value of every field of a nested configuration, and of every entry of its maps."""
     unused = config.unused_sections if isinstance(config, RunConfig) else ()
     for field in dataclasses.fields(config):
+        value, inner = getattr(config, field.name), f"{prefix}.{field.name}" if prefix else field.name
         if field.name in unused:
             continue
-        value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            flat.update({f"{field.name}.{key}": inner for key, inner in flatten(value).items()})
+            yield from _options(value, inner)
+        elif isinstance(value, Mapping):
+            yield from ((inner, _key(key), entry) for key, entry in value.items())
         else:
-            flat[field.name] = value
-    return flat
+            yield prefix, field.name, value
+
+
+def _key(name: str) -> str:
+    """Return a name as a key of TOML."""
+    return name if _BARE.fullmatch(name) else json.dumps(name)
 
 
 def to_toml(config: RunConfig) -> str:
-    """Return the whole configuration as TOML; `from_toml` returns an equal one."""
+    """Return the whole configuration as TOML; `read_saved` and `from_toml` return an equal one."""
+    return f"format = {FORMAT}\n{_body(config)}"
+
+
+def _body(config: RunConfig) -> str:
+    """Return all options as TOML."""
     sections: dict[str, list[str]] = {"": []}
-    for key, value in flatten(config).items():
-        section, _, name = key.rpartition(".")
+    for section, name, value in _options(config):
         sections.setdefault(section, []).append(f"{name} = {format_value(value)}")
     blocks = ["\n".join(([f"[{name}]"] if name else []) + lines) for name, lines in sections.items()]
     return "\n\n".join(blocks) + "\n"
@@ -69,13 +90,17 @@ def to_toml(config: RunConfig) -> str:
 def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
     """Return the base with the values of a TOML text or file.
 
+    Entries of a map are added to those of the base, and an empty map removes them. A text with a format number is that
+    of `to_toml`: its maps are whole.
+
     Args:
         source: TOML text, or the path of a file that holds it.
         base: the values of keys that the source leaves out.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML, names a key that is unknown or has no effect with the
-            algorithm, or gives a key a value of the wrong type or out of range; of a file, its path comes first.
+        ConfigError: the file cannot be read, is not TOML, has another format, names a key that is unknown or has no
+            effect with the algorithm, or gives a key a value of the wrong type or out of range; of a file, its path
+            comes first.
     """
     table = _table(source)
     try:
@@ -93,7 +118,7 @@ def read_saved(source: str | Path) -> RunConfig:
         source: TOML text, or the path of a file that holds it.
 
     Raises:
-        ConfigError: see `from_toml`; or it leaves an option out, as a file of another version may.
+        ConfigError: see `from_toml`; or it leaves the format or an option out.
     """
     table = _table(source)
     where = f"{source}: " if isinstance(source, Path) else ""
@@ -101,7 +126,8 @@ def read_saved(source: str | Path) -> RunConfig:
         found = _merged(RunConfig(), table)
     except ConfigError as error:
         raise ConfigError(f"{where}{error}") from None
-    missing = [key for key in flatten(found) if not _holds(table, key)]
+    own = [key for key in flatten(without_maps(found)) if not _holds(table, key)]
+    missing = [*([] if _FORMAT_KEY in table else [_FORMAT_KEY]), *own]
     if missing:
         raise ConfigError(f"{where}a run's configuration has every option, but {missing[0]} is missing.")
     return found
@@ -157,7 +183,7 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 
 def digest(config: RunConfig) -> str:
     """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests."""
-    return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
+    return hashlib.sha256(_body(config).encode()).hexdigest()[:16]
 
 
 def method_of(config: RunConfig) -> RunConfig:
@@ -169,8 +195,10 @@ def method_of(config: RunConfig) -> RunConfig:
     return dataclasses.replace(config, env=env, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
 
-def format_value(value: Value | Area) -> str:
+def format_value(value: Value | Area | Mapping[str, Value]) -> str:
     """Return a field's value as TOML writes it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)} = {format_value(entry)}" for key, entry in value.items()) + "}"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -199,8 +227,11 @@ def _is_toml(value: str) -> bool:
 
 def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     """Return the base with a file's values; the file's algorithm decides which options exist."""
-    algorithm = table.get("algorithm")
-    if isinstance(algorithm, dict) and isinstance(name := algorithm.get("name"), str):
+    if _FORMAT_KEY in table:
+        base, table = without_maps(base), _of_this_format(table)
+    if isinstance(name := _name_in(table, "env"), str):
+        base = base.with_environment(name)
+    if isinstance(name := _name_in(table, "algorithm"), str):
         base = base.with_algorithm(name)
     for section, values in table.items():
         keys = [f"{section}.{key}" for key in values] if isinstance(values, dict) else []
@@ -210,17 +241,39 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     return merged
 
 
+def without_maps(config: RunConfig) -> RunConfig:
+    """Return the configuration with empty maps."""
+    return dataclasses.replace(config, env=without_entries(config.env), algorithm=without_entries(config.algorithm))
+
+
+def _of_this_format(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a saved configuration's table without its format; raise ConfigError for another one."""
+    if type(table[_FORMAT_KEY]) is not int or table[_FORMAT_KEY] != FORMAT:
+        raise ConfigError(
+            f"this configuration has format {_show(table[_FORMAT_KEY])}, and this version reads {FORMAT}."
+        )
+    return {key: value for key, value in table.items() if key != _FORMAT_KEY}
+
+
+def _name_in(table: dict[str, Any], section: str) -> Any:
+    """Return the name that a table gives a section; None if it gives none."""
+    found = table.get(section)
+    return found.get("name") if isinstance(found, dict) else None
+
+
 def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
     """Return a copy of a dataclass with the table's values, checked field by field."""
     hints = get_type_hints(type(base))
     known = [field.name for field in dataclasses.fields(base)]
-    changes = {}
+    changes: dict[str, Any] = {}
     for name, value in table.items():
         key = prefix + name
         if name not in known:
             raise ConfigError(_unknown(key, prefix))
         current = getattr(base, name)
-        if not dataclasses.is_dataclass(current):
+        if isinstance(current, Mapping):
+            changes[name] = _entries(key, current, value, get_args(hints[name])[1])
+        elif not dataclasses.is_dataclass(current):
             changes[name] = _convert(key, value, hints[name])
         elif isinstance(value, dict):
             changes[name] = _merge(current, value, key + ".")
@@ -235,6 +288,14 @@ def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
         raise ConfigError(f"{where}, a number is too small or too large for the computation: {error}.") from error
 
 
+def _entries(key: str, current: Mapping[str, Value], value: Any, wanted: Any) -> dict[str, Value]:
+    """Return a map with a TOML table's entries; raise ConfigError unless it is a table of such values."""
+    if not isinstance(value, dict):
+        raise ConfigError(f"{key} must be a section [{key}], not {_show(value)}.")
+    given = {name: _convert(f"{key}.{_key(name)}", entry, wanted) for name, entry in value.items()}
+    return {**current, **given} if given else {}
+
+
 def _unknown(key: str, prefix: str) -> str:
     """Return the error sentence for an unknown key, with the closest known one."""
     keys = _all_keys()
@@ -246,11 +307,13 @@ def _unknown(key: str, prefix: str) -> str:
     return f"unknown configuration key {key}; the closest known one is {close[0]}."
 
 
-def _all_keys() -> dict[str, Value]:
-    """Return the keys of all algorithms."""
+def _all_keys() -> list[str]:
+    """Return the keys of all algorithms, and the names of maps."""
     base = RunConfig()
     configs = [base.with_algorithm(name) for name in ALGORITHM_CONFIGS]
-    return {key: value for config in configs for key, value in flatten(config).items()}
+    keys = {key for config in configs for key in flatten(config)}
+    algorithms = {f"algorithm.{field.name}" for config in configs for field in dataclasses.fields(config.algorithm)}
+    return sorted(keys | algorithms | {f"env.{field.name}" for field in dataclasses.fields(base.env)})
 
 
 def _convert(key: str, value: Any, wanted: Any) -> Value:

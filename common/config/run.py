@@ -16,6 +16,7 @@ from eia_sec.common.config.algorithms.on_policy import Memory
 from eia_sec.common.config.checks import not_negative, positive, within
 from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm import FarmConfig
+from eia_sec.common.config.maps import without_entries
 from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from eia_sec.common.errors import ConfigError
 
@@ -155,6 +156,17 @@ class RunConfig:
         algorithm = switched(self.algorithm, name)
         unused = {each: type(getattr(self, each))() for each in OPTIONAL_SECTIONS if each not in algorithm.sections}
         return replace(self, algorithm=algorithm, **unused)
+
+    def with_environment(self, name: str) -> "RunConfig":
+        """Return the run with another environment; maps by type are empty then, because its types are others.
+
+        Raises:
+            ConfigError: the name cannot be read.
+        """
+        if name == self.env.name:
+            return self
+        env, algorithm = replace(self.env, name=name), self.algorithm
+        return replace(self, env=without_entries(env), algorithm=without_entries(algorithm))
 
     @property
     def unused_sections(self) -> tuple[str, ...]:

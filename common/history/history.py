@@ -1,6 +1,6 @@
 """A process's history: what it did with each chunk, line by line, so that an audit can compare processes.
 
-One JSON array per line:
+One JSON array per line, the first of which is ["history", FORMAT]; then
 
     ["start", role, name, incarnation]                   a process began; the learner's incarnation is its epoch
     ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
@@ -23,6 +23,7 @@ learner keeps only totals of chunks that are in every checkpoint (`eia_sec.commo
 
 import json
 import os
+import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -32,12 +33,15 @@ from typing import Any, Final, TextIO
 
 from eia_sec.common.names import is_name
 
+FORMAT: Final = 1
+"""Number of the form of a history. It rises when a line is removed or means something else."""
 REWRITE_LINES: Final = 20_000
 """Number of lines after which the file is rewritten, with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
 MOST_JOINED: Final = 2**24
 """Most chunks in one line; longer ranges are split."""
+_FIRST: Final = re.compile(r'\["history",(\d{1,9})\]')
 VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing")
 SUMMED: Final = ("duplicate", "missing")
 """Verdicts whose lines hold a total, not one chunk after another."""
@@ -189,19 +193,29 @@ def read(path: Path) -> tuple[list[Record], int]:
 
     Raises:
         OSError: when the file cannot be read.
-        ValueError: when it is larger than MAX_BYTES.
+        ValueError: when it is larger than MAX_BYTES, or has another format.
     """
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path.name} is larger than {MAX_BYTES} bytes")
     records: list[Record] = []
     whole = path.read_text(encoding="utf-8", errors="replace")
-    for line in whole.splitlines():
+    for line in _after_format(path.name, whole.splitlines()):
         try:
             records.append(parse(line))
         except ValueError:
             records.append(Unreadable(line))
     torn = bool(records) and isinstance(records[-1], Unreadable) and not whole.endswith("\n")
     return records[:-1] if torn else records, int(torn)
+
+
+def _after_format(name: str, lines: list[str]) -> list[str]:
+    """Return a history's lines without the first one, which holds its format; raise ValueError for another format."""
+    found = _FIRST.fullmatch(lines[0]) if lines else None
+    if found is None:
+        return lines  # a damaged line, which is found as any other
+    if int(found[1]) != FORMAT:
+        raise ValueError(f"{name} has format {found[1]}, and this version reads {FORMAT}")
+    return lines[1:]
 
 
 class _Joined:
@@ -360,6 +374,7 @@ class History:
         try:
             path.parent.mkdir(exist_ok=True)
             with beside.open("w", encoding="utf-8") as file:
+                file.write(f'["history",{FORMAT}]\n')
                 file.writelines(text(record) + "\n" for record in self._joined)
                 held = os.fstat(file.fileno())
             os.replace(beside, path)

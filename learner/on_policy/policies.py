@@ -42,7 +42,7 @@ class Policies(nn.Module):
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
         stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
-        prefer(stack, group, config.type_suggestion_logits().get(group.name, FOLLOW))
+        prefer(stack, group, config.suggestion_logits.get(group.name, FOLLOW))
         return stack
 
     def evaluate(self, kind: int, observation: Tensor, action: Tensor, sequences: Sequences | None = None) -> Evaluated:

@@ -59,7 +59,7 @@ class Ppo(ABC):
         self.config, self.team = config, team
         self.policies = Policies(config, team, seed).to(device)
         self.values: list[GroupValue] = [self.value_function(group, seed).to(device) for group in team.groups]
-        self._scales = config.type_entropy_scales()
+        self._scales = config.entropy_scales
 
     @abstractmethod
     def value_function(self, group: GroupSpec, seed: int) -> GroupValue:

@@ -86,7 +86,7 @@ class Updates:
         self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
-        gamma = config.type_discounts()
+        gamma = config.discounts
         self._discount = np.concatenate(
             [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
         )

@@ -25,6 +25,7 @@ import torch
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import with_values
+from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import UsageError
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.local.memory import keep_freed_memory
@@ -50,7 +51,7 @@ def updates(widths: list[int], repeats: int) -> list[Line]:
     for width in widths:
         line: Line = {"width": width}
         for device in ("cpu", "cuda"):
-            config = with_values(RunConfig(), {"algorithm.hidden": width, "learner.device": device})
+            config = with_values(preset("default"), {"algorithm.hidden": width, "learner.device": device})
             line[device] = round(measure_updates(config, repeats)["updates"], 2)
         sys.stderr.write(f"{json.dumps(line)}\n")
         lines.append(line)
@@ -59,7 +60,7 @@ def updates(widths: list[int], repeats: int) -> list[Line]:
 
 def run(device: str, workers: int, seconds: float) -> Line:
     """Return the rates of a whole run of the default preset."""
-    config = RunConfig()
+    config = preset("default")
     each = environments(config, workers)
     config = with_values(config, {"learner.device": device, "rollout.environments": each})
     line = {"device": device, "environments": each, **learn(workers, seconds, config, SETTLE_SECONDS)}

@@ -19,7 +19,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
         "failing",
         "[farm.relay]\nrequire_link = true\nlink_range = 70.0\n[farm.failures]\nper_hour = 2.0\n"
         "[farm.control]\ncollection_inset = 0.36\n[farm.observation]\nlink = true\n[farm.reward]\nrelayed = 0.2\n"
-        '[algorithm]\ndiscounts = ""\nentropy_scales = "collection=0.1"',
+        "[algorithm]\ndiscounts = {}\nentropy_scales = {communication = 1.0, collection = 0.1}",
     ),
     "team 2 + 2 + 2": (
         "default",
@@ -49,8 +49,8 @@ LONGER: Final = {"default": "long"}
 """The preset of a condition's policy that learns longer, where it is not the condition's own."""
 _FRESH: Final = """
 [algorithm]
-start_policy = ""
-entropy_scales = "communication=0.05, collection=0.1"
+start_policy = {}
+entropy_scales = {monitoring = 1.0}
 """
 _LONG: Final = f"episodes = 2000{_FRESH}"
 AFRESH: Final = {"team 2 + 2 + 2": _FRESH, "no-fly zones": _LONG, "wind 3 m/s": _LONG}

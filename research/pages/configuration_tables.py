@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import textwrap
 from collections.abc import Iterator, Mapping
+from operator import attrgetter
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from eia_sec.common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
@@ -13,7 +14,7 @@ from eia_sec.common.config.algorithms import OPTIONAL_SECTIONS
 from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
-from eia_sec.common.config.files import flatten, format_value
+from eia_sec.common.config.files import format_value
 from eia_sec.common.config.presets import PRESETS
 
 _ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
@@ -131,7 +132,7 @@ def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunC
     if dataclasses.is_dataclass(getattr(section, field)):
         return ""
     key = f"{section_name}.{field}" if section_name else field
-    values = {name: flatten(config)[key] for name, config in presets.items()}
+    values = {name: attrgetter(key)(config) for name, config in presets.items()}
     first = next(iter(values.values()))
     others: dict[str, list[str]] = {}
     for name, value in values.items():
@@ -145,20 +146,21 @@ def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunC
 
 
 def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} = {entry}" for key, entry in value.items())
     return value if isinstance(value, str) else format_value(value)
+
+
+_LISTS = {Sites: "list of places", Zones: "list of polygons", Areas: "list of [growth, polygon]"}
 
 
 def _type(wanted: Any) -> str:
     if get_origin(wanted) is Literal:
         return " or ".join(f"`{choice}`" if choice != "" else "empty" for choice in get_args(wanted))
-    if wanted == Sites:
-        return "list of places"
-    if wanted == Zones:
-        return "list of polygons"
-    if wanted == Areas:
-        return "list of [growth, polygon]"
+    if get_origin(wanted) is Mapping:
+        return f"table of {_type(get_args(wanted)[1])}s"
     if get_origin(wanted) is tuple:
-        return "list of integers"
+        return _LISTS.get(wanted, "list of integers")
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
 
 

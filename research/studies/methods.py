@@ -45,9 +45,6 @@ PEERS: Final = (
     Method("MASAC", {"algorithm.name": "masac"}, late=True),
 )
 _PLAIN_PPO: Final[Mapping[str, Value]] = {
-    "algorithm.hindsight": "",
-    "algorithm.discounts": "",
-    "algorithm.entropy_scales": "",
     "algorithm.potential_discount": 0.0,
     "algorithm.objective": "ppo",
     "algorithm.hidden": 128,

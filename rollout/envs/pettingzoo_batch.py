@@ -65,7 +65,7 @@ class PettingZooBatch:
         make = partial(make_parallel, config, boxes=boxes)
         with ExitStack() as made:
             self._environments = [made.enter_context(closing(self._until_back(k, make))) for k in range(environments)]
-            agents = describe(self._environments[0], config.prefixes())
+            agents = describe(self._environments[0], config.types)
             self._open = made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))

@@ -61,7 +61,7 @@ class Collector:
         self._config = config
         self._identity = (config.seed, worker, start)
         count = config.rollout.environments
-        by_type = config.on_policy.hindsight_shares() if config.learns_on_policy else {}
+        by_type = config.on_policy.hindsight if config.learns_on_policy else {}
         self.environments = make_environments(config, count, any(by_type.values()), patience)
         self.team = self.environments.team
         self._share = shares_of(self.team, by_type)

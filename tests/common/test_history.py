@@ -42,6 +42,21 @@ def test_what_no_process_writes_is_no_record(line):
         parse(line)
 
 
+def test_a_history_of_another_format_is_kept_aside(tmp_path):
+    """The first line holds the format; one sentence refuses another, and the process writes a history of its own."""
+    path = tmp_path / "h.jsonl"
+    History(path).add(chunk(1))
+    first, *rest = path.read_text().splitlines()
+    assert (first, len(rest)) == ('["history",1]', 1)
+    path.write_text("\n".join(['["history",2]', *rest, ""]))
+    with pytest.raises(ValueError, match=r"^h\.jsonl has format 2, and this version reads 1$"):
+        read(path)
+    again = History(path)
+    assert again.before == []
+    assert "could not be read (h.jsonl has format 2, and this version reads 1); it is now" in again.failure
+    assert '["history",2]' in (tmp_path / "h.jsonl.unreadable").read_text()
+
+
 def test_a_range_that_grows_too_long_is_two_lines(tmp_path, monkeypatch):
     """No line is about more chunks than one that is read may."""
     monkeypatch.setattr(history, "MOST_JOINED", 100)

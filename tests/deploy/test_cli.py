@@ -7,6 +7,7 @@ import pytest
 
 from eia_sec.common.config import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.log import FORMAT
 from eia_sec.common.team import GroupSpec, TeamSpec
@@ -220,8 +221,8 @@ def test_the_last_of_several_values_counts(tmp_path: Path) -> None:
     (tmp_path / "two.toml").write_text("seed = 5\n")
     files = [f"--config={tmp_path / name}.toml" for name in ("one", "two")]
     found = base_configuration(["--preset", "quick", *files, "--preset", "default"])
-    assert (found.episodes, found.seed) == (RunConfig().episodes, 5)
-    assert base_configuration([*files, "--config", "None"]) == RunConfig()
+    assert (found.episodes, found.seed) == (PRESETS["default"].episodes, 5)
+    assert base_configuration([*files, "--config", "None"]) == PRESETS["default"]
 
 
 def test_a_mistake_in_a_file_names_the_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_all_types_begin_as_the_policy_of_their_own_farm():
     """Bit for bit, from a name and from a file."""
     actors, _ = load_policy(TRAINED)
     for source in ("trained", str(TRAINED)):
-        _, found = begun({"algorithm.start_policy": source})
+        _, found = begun({"algorithm.start_policy.all": source})
         for flat, own in zip(found, actors.flat, strict=True):
             np.testing.assert_array_equal(flat, own)
 
@@ -46,7 +46,7 @@ def test_all_types_begin_as_the_policy_of_their_own_farm():
 def test_types_that_see_something_else_begin_fresh():
     """UAVs that see plans have more inputs than the default preset's; its relays have not."""
     for config, found in (
-        begun({"algorithm.start_policy": "trained", "farm.observation.plan": 3}),
+        begun({"algorithm.start_policy.all": "trained", "farm.observation.plan": 3}),
         begun({}, "uneven"),
     ):
         fresh = [flat is None for flat in found]
@@ -57,7 +57,10 @@ def test_types_that_see_something_else_begin_fresh():
 
 def test_a_named_type_may_see_more_than_the_policy():
     """It acts as the policy does, whatever the new inputs are; types that are not named begin fresh."""
-    values = {"farm.observation.plan": 3, "algorithm.start_policy": "monitoring = trained,communication=trained,"}
+    values = {
+        "farm.observation.plan": 3,
+        "algorithm.start_policy": {"monitoring": "trained", "communication": "trained"},
+    }
     config, found = begun(values)
     for flat, own in zip(begun({}, "long")[1], found, strict=True):
         np.testing.assert_array_equal(flat, own)
@@ -77,32 +80,31 @@ def test_a_named_type_may_see_more_than_the_policy():
     assert said == "begins as trained: communication, monitoring; fresh actors: collection"
 
 
-def test_types_can_begin_as_different_policies(tmp_path, monkeypatch):
-    """Each as the one that is named for it, a file with an equals sign in its path among them."""
-    file = tmp_path / "a=b" / "policy.safetensors"
-    file.parent.mkdir()
+def test_types_can_begin_as_different_policies(tmp_path):
+    """Each as the one that is named for it; a type that is given none begins fresh."""
+    file = tmp_path / "policy.safetensors"
     own = shared(farm_team(preset("default").farm))
     save_policy(file, own, {})
-    config, found = begun({"algorithm.start_policy": f"monitoring={file}, communication=trained"})
+    config, found = begun(
+        {"algorithm.start_policy": {"monitoring": str(file), "communication": "trained", "collection": ""}}
+    )
     np.testing.assert_array_equal(found[1], own.flat[1])
     np.testing.assert_array_equal(found[0], load_policy(TRAINED)[0].flat[0])
     said = start_sentence(config, farm_team(config.farm), found)
     assert said == f"begins as trained: communication; begins as {file}: monitoring; fresh actors: collection"
-    assert all(flat is not None for flat in begun({"algorithm.start_policy": str(file)})[1])
-    monkeypatch.chdir(tmp_path)
-    assert all(flat is not None for flat in begun({"algorithm.start_policy": "a=b/policy.safetensors"})[1])
+    assert all(flat is not None for flat in begun({"algorithm.start_policy.all": str(file)})[1])
 
 
 def test_as_many_inputs_are_not_enough(tmp_path):
     """What a policy observes is compared where it is known: of one that ships, and beside a run's configuration."""
     other = {"farm.observation.lattice": False, "farm.observation.last_move": True}
     same_size = {"farm.observation.lattice": True, "farm.observation.last_move": False}
-    fresh = [flat is None for flat in begun({"algorithm.start_policy": "trained", **other})[1]]
+    fresh = [flat is None for flat in begun({"algorithm.start_policy.all": "trained", **other})[1]]
     assert fresh == [False, True, False]
     file = tmp_path / "policy.safetensors"
     trained = with_values(preset("default"), same_size)
     save_policy(file, TeamActors.initial(farm_team(trained.farm), 64, 3), {})
-    wanted = {"algorithm.start_policy": str(file), "algorithm.parameters": "separate", **other}
+    wanted = {"algorithm.start_policy.all": str(file), "algorithm.parameters": "separate", **other}
     sizes = [farm_team(with_values(preset("default"), of).farm).groups[1].observation_size for of in (other, same_size)]
     assert sizes[0] == sizes[1]
     assert begun(wanted)[1][1] is not None
@@ -115,13 +117,13 @@ def test_as_many_inputs_are_not_enough(tmp_path):
 def test_odd_names_are_refused_in_one_sentence(name):
     """So is a name that no file system takes."""
     with pytest.raises(PolicyError, match="is neither a policy that ships nor a readable file"):
-        begun({"algorithm.start_policy": name})
+        begun({"algorithm.start_policy.all": name})
 
 
 def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
     """Equal rows for all agents, and of their own memory."""
     actors, _ = load_policy(TRAINED)
-    config, found = begun({"algorithm.start_policy": "trained", "algorithm.parameters": "separate"})
+    config, found = begun({"algorithm.start_policy.all": "trained", "algorithm.parameters": "separate"})
     for flat, own, group in zip(found, actors.flat, farm_team(config.farm).groups, strict=True):
         np.testing.assert_array_equal(flat, np.repeat(own, group.count, axis=0))
         assert flat.flags.writeable
@@ -130,20 +132,22 @@ def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"algorithm.start_policy": "nobody"}, "'nobody' is neither a policy that ships nor a readable file"),
-        ({"algorithm.start_policy": "trained", "algorithm.hidden": 32}, "fits no type of this run"),
-        ({"algorithm.start_policy": "trained", "algorithm.memory": "gru"}, "fits no type of this run"),
-        ({"algorithm.start_policy": "trained:eia-sec"}, "fits no type of this run"),
-        ({"algorithm.start_policy": "communication=trained, trained"}, "or type=policy with commas between"),
-        ({"algorithm.start_policy": "monitoring=trained,monitoring=trained"}, "and each type once"),
-        ({"algorithm.start_policy": "drones=trained"}, "names 'drones', but the types are communication, monitoring"),
+        ({"algorithm.start_policy.all": "nobody"}, "'nobody' is neither a policy that ships nor a readable file"),
+        ({"algorithm.start_policy.all": "trained", "algorithm.hidden": 32}, "fits no type of this run"),
+        ({"algorithm.start_policy.all": "trained", "algorithm.memory": "gru"}, "fits no type of this run"),
+        ({"algorithm.start_policy.all": "trained:eia-sec"}, "fits no type of this run"),
         (
-            {"algorithm.start_policy": "communication=trained, monitoring=trained:eia-sec"},
-            "monitoring agents of this run do not fit that policy",
+            {"algorithm.start_policy": {"communication": "trained", "all": "trained"}},
+            "names 'all', but .* stands alone",
+        ),
+        ({"algorithm.start_policy.drones": "trained"}, "names 'drones', but the types are communication, monitoring"),
+        (
+            {"algorithm.start_policy": {"communication": "trained", "monitoring": "trained:eia-sec"}},
+            "monitoring agents of this run do not fit 'trained:eia-sec'",
         ),
         (
-            {"algorithm.start_policy": "monitoring=trained:long"},
-            "monitoring agents of this run do not fit that policy",
+            {"algorithm.start_policy.monitoring": "trained:long"},
+            "monitoring agents of this run do not fit 'trained:long'",
         ),
     ],
 )
@@ -157,7 +161,7 @@ def test_agents_with_actors_of_their_own_do_not_become_one(tmp_path):
     """Nobody could say which of them a shared actor should begin as."""
     team = farm_team(preset("default").farm)
     save_policy(tmp_path / "own.safetensors", TeamActors.initial(team, 64, 3, per_type=False), {})
-    values = {"algorithm.start_policy": str(tmp_path / "own.safetensors")}
+    values = {"algorithm.start_policy.all": str(tmp_path / "own.safetensors")}
     with pytest.raises(PolicyError, match="fits no type"):
         begun(values)
     config, found = begun({**values, "algorithm.parameters": "separate"})

@@ -36,7 +36,7 @@ def test_a_run_begins_as_its_start_policy(processes):
     first = train_in_process(configured(text)).actors()
     file = processes.directory / "first.safetensors"
     save_policy(file, first, {})
-    text = text.replace('name = "ippo"', f'name = "ippo"\nstart_policy = "{file}"')
+    text = text.replace('name = "ippo"', f'name = "ippo"\nstart_policy = {{all = "{file}"}}')
     still = train_in_process(from_toml("[algorithm]\nvalue_steps = 1000000", configured(text)))
     assert still.actors().digest() == first.digest()
     processes.config.write_text(text, encoding="utf-8")
@@ -54,7 +54,7 @@ def test_a_resumed_run_begins_only_once(processes):
     first = train_in_process(configured(on_policy("ippo"))).actors()
     file = processes.directory / "first.safetensors"
     save_policy(file, first, {})
-    still = f'name = "ippo"\nstart_policy = "{file}"\nvalue_steps = 1000000000'
+    still = f'name = "ippo"\nstart_policy = {{all = "{file}"}}\nvalue_steps = 1000000000'
     text = text.replace('name = "ippo"', still)
     processes.config.write_text(text, encoding="utf-8")
     (processes.directory / "run").mkdir()

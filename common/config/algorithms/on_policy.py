@@ -1,11 +1,12 @@
 """Algorithms that learn on policy: PPO for many agents (IPPO, MAPPO), and EIA-SEC's form of it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from eia_sec.common.config.algorithms.base import AlgorithmConfig
 from eia_sec.common.config.checks import not_negative, positive, within
+from eia_sec.common.config.maps import FrozenMap, freeze, within_each
 from eia_sec.common.errors import ConfigError
 
 Memory = Literal["none", "gru"]
@@ -36,25 +37,25 @@ class OnPolicyConfig(AlgorithmConfig):
     value_steps: int = 0
     """Environment steps at the start from which value functions alone learn, in whole iterations, so that they know the
     fresh policy before it changes (ours)."""
-    start_policy: str = ""
-    """Policy that actors begin as: trained, trained:long and so on, or a file. Types that see or choose something else
-    begin fresh, as all do without it. With type=policy, separated by commas, only these types do, and they may see more
-    than the policy. Value functions always begin fresh, so give them `value_steps` first."""
-    suggestion_logits: str = ""
-    """Logits in fresh policies of options that the environment suggests, as a route or plans do, or else weight of what
-    they serve: type=logit separated by commas, each 0 to 100; others have 4 (ours)."""
+    start_policy: Mapping[str, str] = FrozenMap()
+    """Policies that actors begin as, by type: trained, trained:long and so on, or a file; others begin fresh. Types may
+    see more than their policy. With the single key all, each type that sees and chooses what the policy does begins as
+    it. Value functions always begin fresh, so give them `value_steps` first."""
+    suggestion_logits: Mapping[str, float] = FrozenMap()
+    """How strongly an untrained policy prefers the moves that its observation marks, as a route or plans do, or else
+    those that serve most: a logit for each type, 0 to 100; others have 4 (ours)."""
     clip: float = 0.2
     """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95
     """Decay lambda of generalised advantage estimation."""
-    discounts: str = "communication=1.0"
-    """Discount factors of single types, type=gamma separated by commas; all other types have `discount`."""
+    discounts: Mapping[str, float] = FrozenMap()
+    """Discount factors by type; others have `discount`."""
     entropy_start: float = 0.02
     """Weight of the policies' entropy at the first episode."""
     entropy_end: float = 0.002
     """Weight of the policies' entropy at the last episode; in between it falls linearly."""
-    entropy_scales: str = "communication=0.05"
-    """Factors on the weight of single types' entropy, type=factor separated by commas, each 0 to 1; others have 1."""
+    entropy_scales: Mapping[str, float] = FrozenMap()
+    """Factors on the weight of the policies' entropy by type, 0 to 1; others have 1."""
     rate_end: float = 0.05
     """Share of the learning rates that is left at the last episode; in between they fall linearly."""
     target_kl: float = 0.03
@@ -72,9 +73,9 @@ class OnPolicyConfig(AlgorithmConfig):
     a gated recurrent unit (gru) in place of their second hidden layer."""
     sequence_steps: int = 50
     """Steps through which gradients flow back in networks with memory; `rollout.chunk_steps` is a multiple of it."""
-    hindsight: str = "monitoring=1.0, collection=0.75"
-    """Shares of types' task rewards that are paid as hindsight credit, what a visit was worth to the team: type=share
-    separated by commas, each 0 to 1; types that are not named have none (ours)."""
+    hindsight: Mapping[str, float] = FrozenMap()
+    """Shares of the task rewards that are paid as hindsight credit, what a visit was worth to the team, by type, 0 to
+    1; others have 0 (ours)."""
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
@@ -97,16 +98,14 @@ class OnPolicyConfig(AlgorithmConfig):
             raise ConfigError(
                 f"minibatch_steps {self.minibatch_steps} hold no sequence of sequence_steps {self.sequence_steps}."
             )
-        self._by_type()
+        freeze(self, "start_policy", "suggestion_logits", "discounts", "entropy_scales", "hindsight")
+        within_each(0.0, 1.0, discounts=self.discounts, entropy_scales=self.entropy_scales, hindsight=self.hindsight)
+        within_each(0.0, 100.0, suggestion_logits=self.suggestion_logits)
 
     def require_types(self, types: Sequence[str]) -> None:
-        """Raise ConfigError where an option that somebody has set names a type that the environment does not have.
-
-        Defaults name types of the farm, whatever the environment is.
-        """
-        for option, named in self._by_type().items():
-            unknown = [kind for kind in named if kind not in types]
-            if unknown and getattr(self, option) != getattr(type(self), option):
+        """Raise ConfigError where an option names a type that the environment does not have."""
+        for option in ("suggestion_logits", "discounts", "entropy_scales", "hindsight"):
+            if unknown := [kind for kind in getattr(self, option) if kind not in types]:
                 raise ConfigError(f"algorithm.{option} names {unknown[0]!r}, but the types are {', '.join(types)}.")
 
     @property
@@ -133,51 +132,6 @@ class OnPolicyConfig(AlgorithmConfig):
     def local_weight(self) -> float:
         """Weight of an agent's own value function beside the ensemble's mean."""
         return 1.0
-
-    def _by_type(self) -> dict[str, dict[str, float]]:
-        """Return all options that are maps by type; raise ConfigError when one is none."""
-        return {
-            "discounts": self.type_discounts(),
-            "entropy_scales": self.type_entropy_scales(),
-            "suggestion_logits": self.type_suggestion_logits(),
-            "hindsight": self.hindsight_shares(),
-        }
-
-    def type_discounts(self) -> dict[str, float]:
-        """Return `discounts` as a map from type to gamma; raise ConfigError when it is none."""
-        return _shares("discounts", self.discounts)
-
-    def type_entropy_scales(self) -> dict[str, float]:
-        """Return `entropy_scales` as a map from type to factor; raise ConfigError when it is none."""
-        return _shares("entropy_scales", self.entropy_scales)
-
-    def type_suggestion_logits(self) -> dict[str, float]:
-        """Return `suggestion_logits` as a map from type to logit; raise ConfigError when it is none."""
-        return _numbers("suggestion_logits", self.suggestion_logits, 100.0)
-
-    def hindsight_shares(self) -> dict[str, float]:
-        """Return `hindsight` as a map from type to share; raise ConfigError when it is none."""
-        return _shares("hindsight", self.hindsight)
-
-
-def _shares(option: str, text: str) -> dict[str, float]:
-    """Return a text type=number, with commas between, as a map; the numbers are 0 to 1."""
-    return _numbers(option, text, 1.0)
-
-
-def _numbers(option: str, text: str, most: float) -> dict[str, float]:
-    """Return a text type=number, with commas between, as a map; the numbers are 0 to `most`."""
-    found = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        kind, equals, value = (piece.strip() for piece in part.partition("="))
-        try:
-            number = float(value)
-        except ValueError:
-            number = -1.0
-        if not (kind and equals) or not 0.0 <= number <= most:
-            raise ConfigError(f"{option} must be type=number with commas between, each 0 to {most:g}, not {part!r}.")
-        found[kind] = number
-    return found
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+import tyro
 from rich.console import Console
 
 from eia_sec.common.config import RunConfig
@@ -19,9 +20,15 @@ from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from eia_sec.deploy.reports.comparison_tables import comparison_table
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run
-from eia_sec.rollout.policies import run_policy
+from eia_sec.rollout.heuristics.registry import RELAYS, TASKS
+from eia_sec.rollout.policies import POLICIES, run_policy
 from eia_sec.rollout.shipped_policies import preset_of
 
+POLICY_HELP: Final = (
+    f"{', '.join(POLICIES)}, or a policy file; with --run-dir, instead of the run's policy. TASK+RELAYS, a task being "
+    f"{', '.join(TASKS)} and relays {', '.join(RELAYS)}, names the relays too (docs/reference/heuristics.md). A policy "
+    "of a preset flies that preset's farm, trained that of default."
+)
 MAX_FARMS: Final = 100_000
 DIGITS: Final = 19
 """Most digits of a farm's seed."""
@@ -35,11 +42,7 @@ class EvaluateArguments:
 
     run_dir: Path | None = None
     """Run directory: its configuration and its newest policy."""
-    policy: str | None = None
-    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:long, trained:connected,
-    trained:failing, trained:uneven, trained:battery, trained:field, trained:eia-sec, or a policy file; with
-    --run-dir, instead of the run's policy. horizon+centroid, for instance, names the relays too
-    (docs/reference/heuristics.md). trained:battery flies the farm of the preset battery, trained that of default."""
+    policy: Annotated[str | None, tyro.conf.arg(help=POLICY_HELP)] = None
     farms: str = "1000:1020"
     """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
     episodes: int = 1

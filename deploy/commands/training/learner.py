@@ -16,7 +16,7 @@ from eia_sec.common.names import check_name
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.run_directory import RunDirectory
-from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.learner.networks.device import usable_device
 from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.service import serve
@@ -40,9 +40,7 @@ class LearnerArguments:
     """Take transitions through shared memory from workers on this machine that do the same."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
-    preset: str = "default"
-    """Configuration to begin from: default, quick, long, connected, failing, uneven, battery, field, eia-sec, study,
-    paper, or an ablation: eia, sec, base."""
+    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = "default"
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None

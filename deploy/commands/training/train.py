@@ -27,7 +27,7 @@ from eia_sec.deploy.local.threads import allowed_cores
 from eia_sec.deploy.monitor.live_view import render, summary
 from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
-from eia_sec.deploy.options import base_configuration, parse
+from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
 from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
@@ -47,9 +47,7 @@ LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operat
 class TrainArguments:
     """Train on this machine: learner, elite coordinator and workers run as separate processes over loopback."""
 
-    preset: str = "default"
-    """Configuration to begin from: default, quick, long, connected, failing, uneven, battery, field, eia-sec, study,
-    paper, or an ablation: eia, sec, base."""
+    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = "default"
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None

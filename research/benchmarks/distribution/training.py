@@ -42,9 +42,6 @@ target_kl = 0.05
 objective = "decoupled"
 entropy_start = 0.002
 entropy_end = 0.002
-discounts = ""
-entropy_scales = ""
-hindsight = ""
 precision = "float32"
 [rollout]
 environments = 1

@@ -9,7 +9,7 @@ from eia_sec.common.config.ablations import ABLATIONS
 from eia_sec.common.config.algorithms import OPTIONAL_SECTIONS, switched
 from eia_sec.common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting, with_values
 from eia_sec.common.config.presets import PRESETS, preset
-from eia_sec.common.errors import ConfigError
+from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.commands.training.train import TrainArguments
 from eia_sec.deploy.exit_codes import run_command
@@ -185,6 +185,22 @@ def test_a_command_line_has_the_options_of_its_algorithm(words, wanted):
     """The chosen algorithm's own options are on the command line."""
     defaults = TrainArguments(settings=base_configuration(words))
     assert parse(TrainArguments, words, "train", defaults).settings.algorithm == wanted
+
+
+def test_a_command_line_adds_entries_to_a_map():
+    """KEY=VALUE goes over the preset's entries, no value removes them, and another environment begins without."""
+    for words, wanted in (
+        (["--algorithm.hindsight", "collection=0.5"], {"collection": 0.5, "monitoring": 1.0}),
+        (["--algorithm.hindsight", "a=0.5", "b=1"], {"a": 0.5, "b": 1.0, "collection": 0.75, "monitoring": 1.0}),
+        (["--algorithm.hindsight"], {}),
+        ([], {"collection": 0.75, "monitoring": 1.0}),
+        (["--env", "mpe2:simple_spread_v3", "--algorithm.hindsight", "agent=0.5"], {"agent": 0.5}),
+    ):
+        defaults = TrainArguments(settings=base_configuration(words))
+        assert parse(TrainArguments, words, "train", defaults).settings.on_policy.hindsight == wanted
+    for value in ("0.5", "a=b", "=1"):
+        with pytest.raises(UsageError, match="hindsight"):
+            parse(TrainArguments, ["--algorithm.hindsight", value], "train", TrainArguments())
 
 
 def test_a_setting_names_an_algorithm():

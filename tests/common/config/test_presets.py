@@ -5,9 +5,10 @@ from operator import attrgetter
 import pytest
 
 from eia_sec.common.config import RunConfig
-from eia_sec.common.config.files import differences, flatten, read_saved, to_toml
+from eia_sec.common.config.files import differences, flatten, read_saved, to_toml, with_values
 from eia_sec.common.config.presets import PRESETS, preset
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.farm import farm_team
 
 PRINTED = {
     # Table 1, environmental parameters
@@ -116,9 +117,23 @@ def test_constants_are_as_printed(key):
     assert attrgetter(key)(PRESETS["paper"].farm) == CONSTANTS[key]
 
 
-def test_default_preset_is_the_dataclasses():
-    """Dataclass defaults are what `make train` runs."""
-    assert PRESETS["default"] == RunConfig()
+def test_only_presets_name_types_of_the_farm():
+    """The preset `default` gives the farm's types their numbers; all else in it is a default of the dataclasses."""
+    lines = differences(RunConfig(), PRESETS["default"])
+    maps = {line.split(":")[0].rpartition(".")[0] for line in lines}
+    assert maps == {"algorithm.discounts", "algorithm.entropy_scales", "algorithm.hindsight"}
+    assert all(line.partition(": ")[2].startswith("none -> ") for line in lines)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_names_types_that_there_are(name):
+    """Another environment has other types, so there its maps are empty."""
+    config = PRESETS[name]
+    config.algorithm.require_types([group.name for group in farm_team(config.farm).groups])
+    other = config.with_environment("mpe2:simple_spread_v3")
+    other.algorithm.require_types([])
+    assert with_values(config, {"env.name": "mpe2:simple_spread_v3"}) == other
+    assert not any(line.startswith("algorithm") and "-> none" not in line for line in differences(config, other))
 
 
 def test_study_preset_departs_from_eia_sec_where_it_says():
@@ -133,12 +148,12 @@ def test_study_preset_departs_from_eia_sec_where_it_says():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_saved_configuration_is_whole(name):
-    """What a run saved is read back equal, and a file without one of the options is refused with its key."""
+    """What a run saved is read back equal; a file without an option, or without the format, is refused with its key."""
     text = to_toml(PRESETS[name])
     assert read_saved(text) == PRESETS[name]
-    for line in ("train_farms = ", "reward_scale = "):
+    for line in ("train_farms = ", "reward_scale = ", "format = "):
         cut = "\n".join(each for each in text.splitlines() if not each.startswith(line))
-        with pytest.raises(ConfigError, match=rf"every option, but \w+\.{line[:-3]} is missing"):
+        with pytest.raises(ConfigError, match=rf"every option, but (\w+\.)?{line[:-3]} is missing"):
             read_saved(cut)
 
 

@@ -21,8 +21,8 @@ TINY: dict[str, Any] = {
     "minibatch_steps": 10,
     "precision": "float32",
     "reward_scale": 1.0,
-    "discounts": "b=0.5",
-    "entropy_scales": "b=0.25",
+    "discounts": {"b": 0.5},
+    "entropy_scales": {"b": 0.25},
 }
 
 

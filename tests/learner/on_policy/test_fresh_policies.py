@@ -35,7 +35,7 @@ def test_a_type_follows_as_closely_as_it_should():
     """Of two moves that are marked with 1 and with 3/4, the logits differ by a quarter of the type's; others have 4."""
     observation = torch.zeros(1, 3, 16)
     observation[..., FIRST + 2], observation[..., FIRST + 7] = 1.0, 0.75
-    for logits, wanted in (("", 1.0), ("b=9", 1.0), ("a=8", 2.0), ("a=0", 0.0)):
+    for logits, wanted in (({}, 1.0), ({"b": 9.0}, 1.0), ({"a": 8.0}, 2.0), ({"a": 0.0}, 0.0)):
         policies = Policies(IppoConfig(hidden=32, suggestion_logits=logits), TEAM, 0)
         with torch.no_grad():
             outputs = policies.stacks[0](observation)

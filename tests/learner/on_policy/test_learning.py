@@ -71,7 +71,6 @@ QUICK = {
     "minibatch_steps": 80,
     "epochs": 6,
     "discount": 0.9,
-    "discounts": "",
     "reward_scale": 1.0,
     "actor_rate": 1e-2,
     "critic_rate": 1e-2,

@@ -57,8 +57,6 @@ QUICK = {
     "minibatch_steps": 160,
     "sequence_steps": 10,
     "epochs": 4,
-    "discounts": "",
-    "hindsight": "",
     "reward_scale": 1.0,
     "actor_rate": 1e-2,
     "critic_rate": 1e-2,

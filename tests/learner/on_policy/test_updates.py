@@ -126,7 +126,7 @@ def test_values_learn_first():
 
 def test_statistics_are_those_of_the_last_iteration():
     """Every diagnostic of each type is reported after an iteration, and single numbers are right."""
-    config = configured(target_kl=0.0, time_limit="bootstrap", discounts="", gae_lambda=1.0, discount=0.0)
+    config = configured(target_kl=0.0, time_limit="bootstrap", discounts={}, gae_lambda=1.0, discount=0.0)
     trainer = OnPolicyTrainer(config, TEAM)
     assert not any("/" in name for name in trainer.statistics())
     experience = chunk(trainer.actors(), 0, ENDS)

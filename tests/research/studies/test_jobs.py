@@ -232,7 +232,7 @@ def test_methods_on_policy_have_the_farm_the_seeds_and_the_budget_of_the_others(
         for peer, job in zip(peers, own, strict=True):
             assert (job.config.seed, job.config.farm, job.options) == (peer.config.seed, peer.config.farm, peer.options)
             assert 0 <= budget(peer.config) - budget(job.config) < job.config.rollout.environments
-            assert not job.config.on_policy.hindsight_shares()
+            assert not job.config.on_policy.hindsight
     assert [len(bench.trials(method)) for method in ON_POLICY_PEERS] == [scale.candidates] * 2
 
 

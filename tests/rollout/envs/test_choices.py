@@ -144,7 +144,7 @@ def test_a_mask_of_another_length_is_refused():
 
 def test_agents_that_differ_in_their_choices_are_different_types():
     """A type's agents share networks, so a common prefix is split by observation, choices and mask."""
-    config = EnvConfig("toy_choices:Doors", arguments='{"masks": "info"}', types="w=all,p=all")
+    config = EnvConfig("toy_choices:Doors", arguments='{"masks": "info"}', types={"w": "all", "p": "all"})
     team = PettingZooBatch(config, 1, boxes=False).team
     assert [(g.name, g.count) for g in team.groups] == [
         ("all-6of4-masked", 2),

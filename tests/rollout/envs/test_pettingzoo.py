@@ -54,7 +54,7 @@ def test_agents_become_types_in_order_of_appearance():
 
 def test_a_given_map_decides_the_types():
     """The longest prefix wins, and agents of other sizes than their fellows form a type of their own."""
-    team = PettingZooBatch(relay(types="r=all, runner_1=last, keeper=all"), 1).team
+    team = PettingZooBatch(relay(types={"r": "all", "runner_1": "last", "keeper": "all"}), 1).team
     assert [(g.name, g.count) for g in team.groups] == [("all-2x2", 1), ("all-4x2", 1), ("last", 1)]
     odd = PettingZooBatch(relay('{"odd": true}'), 1).team
     assert [(g.name, g.observation_size) for g in odd.groups] == [("runner-2x2", 2), ("keeper", 4), ("runner-3x2", 3)]
@@ -120,8 +120,8 @@ def test_an_episode_is_a_function_of_its_seeds():
         (relay('{"speed": 3}'), r"toy_env:Relay: Relay\(speed=3\) raised TypeError"),
         (EnvConfig("toy_env:shouting"), "actions other than bounded boxes, Discrete and MultiDiscrete"),
         (EnvConfig("toy_env:Nobody"), "possible_agents gave None; PettingZoo asks for a list"),
-        (relay(types="runer=r"), r"names the prefix 'runer', but the agents are runner_0, keeper_0, runner_1"),
-        (relay(types="runner=mean"), "no type can be called 'mean'"),
+        (relay(types={"runer": "r"}), r"names the prefix 'runer', but the agents are runner_0, keeper_0, runner_1"),
+        (relay(types={"runner": "mean"}), "no type can be called 'mean'"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
