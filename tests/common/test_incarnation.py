@@ -42,6 +42,6 @@ def test_what_no_honest_start_has_is_not_plausible():
 
 
 def test_when_no_number_is_left_a_sentence_says_so():
-    """A learner of an older version may have taken the last number."""
+    """The last number may be taken, however unlikely that is."""
     with pytest.raises(UsageError, match="no greater one is left"):
         new_incarnation(LIMIT - 1)
