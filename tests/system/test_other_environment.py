@@ -46,7 +46,6 @@ name = "ippo"
 hidden = 16
 iteration_steps = 64
 minibatch_steps = 32
-discounts = ""
 [rollout]
 environments = 4
 chunk_steps = 16
