@@ -82,7 +82,7 @@ class ExplorationConfig:
     noise_std_start: float = 0.3
     """Standard deviation sigma of the noise at the first episode (ours)."""
     noise_std_end: float = 0.2
-    """Standard deviation sigma from `decay_share` of the run on (ours)."""
+    """Standard deviation sigma from six tenths of the run on (ours)."""
     decay_share: ClassVar[float] = 0.6
     """Share of the run's episodes over which the standard deviation falls linearly (ours)."""
 
