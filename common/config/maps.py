@@ -52,10 +52,12 @@ def freeze(section: Any, *options: str) -> None:
     """Replace maps of a frozen dataclass by ones that cannot change, while it is made.
 
     Raises:
-        ConfigError: a key cannot be a name.
+        ConfigError: one is no map, or a key cannot be a name.
     """
     for option in options:
         entries = getattr(section, option)
+        if not isinstance(entries, Mapping):
+            raise ConfigError(f"{option} must be a map, not {entries!r:.80}.")
         for key in entries:
             if not is_name(key):
                 raise ConfigError(f"{option} names {key[:80]!r}; a name is 1 to 63 letters, digits, '.', '_' or '-'.")

@@ -225,7 +225,7 @@ class RunDirectory:
 
     @property
     def _start(self) -> str:
-        return f"--algorithm.start-policy {self.path / POLICY}"
+        return f"--algorithm.start-policy all={self.path / POLICY}"
 
     def _foreign_files(self) -> list[Path]:
         return [

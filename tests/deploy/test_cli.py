@@ -99,8 +99,11 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--learner.device", "tpu"], "device must be cpu"),
         (["train", "--learner.device", "cuda:999"], "learner.device is cuda:999"),
         (["learner", "--learner.device", "cuda:999", "--run-dir", "run"], "learner.device is cuda:999"),
-        (["train", "--algorithm.start-policy", "nobody"], "'nobody' is neither a policy that ships"),
-        (["learner", "--algorithm.start-policy", "trained:eia-sec", "--run-dir", "run"], "fits no type of this run"),
+        (["train", "--algorithm.start-policy", "all=nobody"], "'nobody' is neither a policy that ships"),
+        (
+            ["learner", "--algorithm.start-policy", "all=trained:eia-sec", "--run-dir", "run"],
+            "fits no type of this run",
+        ),
         (["farm"], "show, save, check"),
         (["farm", "plough"], "plough"),
         (["farm", "check"], "FILE"),
@@ -152,7 +155,7 @@ def test_more_episodes_need_a_new_run(capsys: pytest.CaptureFixture[str], tmp_pa
     RunDirectory(tmp_path / "run").prepare(RunConfig(), resume=False)
     error = complaint(capsys, "train", "--run-dir", str(tmp_path / "run"), "--resume", "--episodes", "13000")
     assert "a run cannot be lengthened; begin another one as its policy" in error
-    assert f"--algorithm.start-policy {tmp_path}/run/policy.safetensors" in error
+    assert f"--algorithm.start-policy all={tmp_path}/run/policy.safetensors" in error
 
 
 def test_what_a_resumed_run_may_change(tmp_path: Path) -> None:

@@ -137,7 +137,8 @@ def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
         ({"name": "os:system('x')"}, "module:name"),
         ({"arguments": "{"}, "not JSON"),
         ({"arguments": "[1]"}, "JSON object"),
-        ({"types": "a"}, "prefix=type"),
+        ({"types": "a=b"}, "types must be a map, not 'a=b'"),
+        ({"types": {"a": ""}}, "which is no name"),
         ({"steps": -1}, "between 0"),
     ],
 )
