@@ -2,16 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.names import is_name
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-S = TypeVar("S", bound="DataclassInstance")
+S = TypeVar("S")
 V = TypeVar("V")
 
 
@@ -72,5 +69,7 @@ def within_each(low: float, high: float, **maps: Mapping[str, float]) -> None:
 
 def without_entries(section: S) -> S:
     """Return a section of a configuration whose maps are empty."""
-    maps = [field.name for field in fields(section) if isinstance(getattr(section, field.name), Mapping)]
-    return replace(section, **{name: FrozenMap() for name in maps}) if maps else section
+    held: Any = section
+    maps = [field.name for field in fields(held) if isinstance(getattr(held, field.name), Mapping)]
+    emptied: S = replace(held, **{name: FrozenMap() for name in maps}) if maps else section
+    return emptied
