@@ -18,8 +18,8 @@ MOST_EPISODES: Final = 4096
 """Most episodes that a checkpoint may hold."""
 LARGEST_WEIGHT: Final = 1e10
 """Bound of a network's weights; with larger ones in three layers, outputs overflow."""
-OF_ADAM: Final = ("step", "_steps", "exp_avg", "exp_avg_sq", "_mean", "_square")
-"""Ends of the names of what Adam keeps beside the weights."""
+OF_ADAM: Final = (".step", ".exp_avg", ".exp_avg_sq")
+"""Ends of the names of what Adam keeps beside the weights: count of steps, mean gradients, mean squares."""
 MOST_MEAN: Final = 7.5
 """Bound of a gradient's running mean, as a multiple of the root of its running mean square. By the Cauchy-Schwarz
 inequality this ratio never exceeds (1 - 0.9) / sqrt((1 - 0.999) (1 - 0.9^2 / 0.999)) = 7.27. With a larger one, the
@@ -46,19 +46,17 @@ def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor])
     return {name: source[name] for name in targets}
 
 
-def require_moments(found: Mapping[str, Tensor], steps: str, means: str, squares: str) -> None:
+def require_moments(found: Mapping[str, Tensor]) -> None:
     """Check what Adam goes on from: counts of steps, and running means of gradients and of their squares.
 
     Args:
-        found: tensors by name.
-        steps: end of the names of counts.
-        means: end of the names of gradients' means.
-        squares: end of the names of squares' means.
+        found: tensors by name, those of Adam with the ends of `OF_ADAM`.
 
     Raises:
         CheckpointError: when a count is negative or not whole, a square's mean negative, or a gradient's mean larger
             than any gradients with these squares leave behind.
     """
+    steps, means, squares = OF_ADAM
     for name, tensor in found.items():
         if name.endswith(steps) and bool(((tensor < 0) | (tensor != tensor.floor())).any()):
             raise CheckpointError(f"the checkpoint's {name} is no count of updates.")

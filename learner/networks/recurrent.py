@@ -99,6 +99,8 @@ def make_stack(
     gain: float,
     names: Sequence[tuple[int | str, ...]],
 ) -> Stack:
-    """Return a stack with the configured memory; arguments as for `Stack`."""
+    """Return a drawn stack with the configured memory; arguments as for `Stack` and `Stack.draw`."""
     kind = Stack if config.memory == "none" else RecurrentStack
-    return kind(count, inputs, config.hidden, outputs, gain, names)
+    stack = kind(count, inputs, config.hidden, outputs)
+    stack.draw(gain, names)
+    return stack

@@ -1,8 +1,11 @@
-"""Perceptrons with two hidden ReLU layers for all agents of a type, by plain torch autograd.
+"""The network module of both families: perceptrons with two hidden ReLU layers for all agents of a type.
 
 A *stack* is one network that all agents of a type share, or one for each. The parameters of its S networks are one
 tensor [S, P], so that an optimiser's step is a few large operations. Its layers are six views with a leading axis S, in
 the order of `eia_sec.common.actors`: W1, b1, W2, b2, W3, b3.
+
+On policy, a type's stack is called by itself. Off policy, all stacks of a role are computed by one call
+(`eia_sec.learner.networks.stacks`), because one update takes dozens of small networks.
 """
 
 import math
@@ -23,37 +26,36 @@ from eia_sec.learner.networks.sequences import Sequences, Unroll
 class Stack(nn.Module):
     """S networks of equal shape.
 
-    Inputs of type bfloat16 are computed with in bfloat16, but for the last layer. Parameters and outputs are float32.
+    Inputs of type bfloat16 are computed with in bfloat16, but for the last layer. Outputs have the parameters' type.
 
     Args:
         count: S.
         inputs: numbers in an input.
         hidden: width of the hidden layers.
         outputs: numbers in an output.
-        gain: gain of the last layer's orthogonal initialisation; hidden layers have sqrt(2).
-        names: parts of the name of the random stream of each network's initialisation, one entry for each.
+        place: the memory of the parameters, [S, P] or wider, of zeros beyond P; its owner trains them. Without it they
+            are a parameter of this module, zeros of type float32.
 
     Attributes:
         count: S.
-        flat: all parameters [S, P].
+        size: P.
+        flat: all parameters [S, P], as wide as `place`.
     """
 
     memory: ClassVar[Memory] = "none"
 
-    def __init__(
-        self, count: int, inputs: int, hidden: int, outputs: int, gain: float, names: Sequence[tuple[int | str, ...]]
-    ) -> None:
+    def __init__(self, count: int, inputs: int, hidden: int, outputs: int, place: Tensor | None = None) -> None:
         super().__init__()
         self.count = count
         self._shapes = layer_shapes(inputs, hidden, outputs, self.memory)
         self._lengths = [math.prod(shape) for shape in self._shapes]
-        self.flat = nn.Parameter(torch.zeros(count, sum(self._lengths)))
-        for row, name in enumerate(names):
-            self.initialise(row, stream(*name), gain)
+        self.size = sum(self._lengths)
+        self.flat = nn.Parameter(torch.zeros(count, self.size)) if place is None else place
+        self._room = [self.flat.shape[1] - self.size] if self.flat.shape[1] > self.size else []
 
     def layers_of(self, flat: Tensor) -> list[Tensor]:
         """Return views of the layers [S, ...] in a tensor [S, P]: the parameters, their gradient or a moment."""
-        return self._shaped(torch.split(flat, self._lengths, dim=1))
+        return self._shaped(torch.split(flat, [*self._lengths, *self._room], dim=1)[: len(self._lengths)])
 
     def _shaped(self, parts: Sequence[Tensor]) -> list[Tensor]:
         return [part.view(self.count, *shape) for part, shape in zip(parts, self._shapes, strict=True)]
@@ -63,12 +65,23 @@ class Stack(nn.Module):
         """All layers, to be read and written without gradients."""
         return self.layers_of(self.flat.detach())
 
-    def layers_as(self, dtype: torch.dtype) -> list[Tensor]:
-        """Return all layers for a pass: the last, W3 and b3, as float32, those before it as `dtype`."""
+    def layers_as(self, dtype: torch.dtype, flat: Tensor | None = None) -> list[Tensor]:
+        """Return all layers for a pass: the last, W3 and b3, as they are, those before it as `dtype`."""
         before, last = self._lengths[:-2], self._lengths[-2:]
         # All are converted at once. A split's gradient is one concatenation, an index's would be a copy into zeros.
-        hidden, output = torch.split(self.flat, [sum(before), sum(last)], dim=1)
+        parts = [sum(before), sum(last), *self._room]
+        hidden, output, *_ = torch.split(self.flat if flat is None else flat, parts, dim=1)
         return self._shaped([*torch.split(hidden.to(dtype), before, dim=1), *torch.split(output, last, dim=1)])
+
+    def draw(self, gain: float, names: Sequence[tuple[int | str, ...]]) -> None:
+        """Draw the weights of all networks, orthogonal matrices; biases are left as they are.
+
+        Args:
+            gain: gain of the last layer; hidden layers have sqrt(2).
+            names: parts of the name of each network's random stream.
+        """
+        for row, name in enumerate(names):
+            self.initialise(row, stream(*name), gain)
 
     def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
         """Draw the weights of one network.
@@ -95,16 +108,25 @@ class Stack(nn.Module):
         if self.count == 1:
             rows = x.reshape(-1, x.shape[2])
             return self._one(rows).view(x.shape[0], x.shape[1], -1)
-        w1, b1, w2, b2, w3, b3 = self.layers_as(x.dtype)
-        h = torch.relu_(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
+        return self.outputs(x.transpose(0, 1)).transpose(0, 1)
+
+    def outputs(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
+        """Return the outputs [S, R, outputs] of each network for rows of its own [S, R, inputs].
+
+        Args:
+            x: the rows.
+            flat: parameters [S, P] in place of the stack's own.
+        """
+        w1, b1, w2, b2, w3, b3 = self.layers_as(x.dtype, flat)
+        h = torch.relu_(torch.baddbmm(b1[:, None], x, w1))
         h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
-        return torch.baddbmm(b3[:, None], h.float(), w3).transpose(0, 1)
+        return torch.baddbmm(b3[:, None], h.to(w3.dtype), w3)
 
     def _one(self, x: Tensor) -> Tensor:
         w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.layers_as(x.dtype))
         h = torch.relu_(torch.addmm(b1, x, w1))
         h = torch.relu_(torch.addmm(b2, h, w2))
-        return torch.addmm(b3, h.float(), w3)
+        return torch.addmm(b3, h.to(w3.dtype), w3)
 
     def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:
         """Return outputs and states, which only networks with memory have (`eia_sec.learner.networks.recurrent`)."""
@@ -112,13 +134,14 @@ class Stack(nn.Module):
 
     def export(self) -> Float32:
         """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`."""
-        return self.flat.detach().cpu().numpy().copy()
+        return self.flat.detach()[:, : self.size].cpu().numpy().copy()
 
     @torch.no_grad()
     def load(self, flat: Float32) -> None:
         """Replace the parameters by [S, P] float32."""
-        assert flat.shape == self.flat.shape  # else `copy_` would repeat the rows that there are
-        self.flat.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
+        own = self.flat[:, : self.size]
+        assert flat.shape == own.shape  # else `copy_` would repeat the rows that there are
+        own.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
 
 
 def orthogonal(shape: tuple[int, ...], gain: float, generator: np.random.Generator) -> Float32:

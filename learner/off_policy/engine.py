@@ -15,9 +15,9 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import OffPolicyConfig
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.learner.networks.compiled_pass import usable_cores
-from eia_sec.learner.networks.cuda_graphs import Graphs
+from eia_sec.learner.networks.compiled import usable_cores
 from eia_sec.learner.off_policy.algorithm import Batch, Diagnostics
+from eia_sec.learner.off_policy.captured_updates import CapturedUpdates
 from eia_sec.learner.off_policy.normalisation import Normalisation
 from eia_sec.learner.registry import OFF_POLICY
 
@@ -68,9 +68,8 @@ class Engine:
         self.updates = torch.zeros((), dtype=torch.int64)
         self.random = stream(seed, NOISE)
         self._noise = like.new_zeros(self.algorithm.noise_blocks, config.batch * team.action_size)
-        self._graphs = Graphs(self.algorithm) if like.device.type == "cuda" else None
+        self._graphs = CapturedUpdates(self.algorithm) if like.device.type == "cuda" else None
 
-    @torch.inference_mode()
     def update(self, batch: Batch, *, diagnostics: bool = False) -> Diagnostics | None:
         """Do one update; return its diagnostics if requested, valid until the next update."""
         if self.algorithm.noise_blocks:

@@ -1,8 +1,9 @@
 """The shared ensemble critics (SEC): k_s members for each type, which all its agents share.
 
-This module holds their networks: values and gradients. Their loss and their step are in
-`eia_sec.learner.off_policy.eia_sec`.
+Their loss and their step are in `eia_sec.learner.off_policy.eia_sec`.
 """
+
+import itertools
 
 import torch
 from torch import Tensor
@@ -11,76 +12,81 @@ from eia_sec.common.actors import initial_parameters
 from eia_sec.common.config import EiaSecConfig
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import TeamSpec
-from eia_sec.learner.networks.compiled_pass import make_pass
-from eia_sec.learner.networks.stacked import Networks, Parameters, Stack
-from eia_sec.learner.off_policy.critics import QValues
-from eia_sec.learner.off_policy.inputs import Inputs, critic_width
+from eia_sec.learner.networks.stacks import Changes, Shape, Stacks
+from eia_sec.learner.off_policy.critics import Critics
+from eia_sec.learner.off_policy.inputs import Inputs, action_starts, critic_width
+from eia_sec.learner.off_policy.trained import Trained
 
 
-class Ensemble:
-    """The members of all types: their layout and forward pass. Parameters are passed in.
+class Ensemble(Trained):
+    """The members of all types and their targets.
 
     Args:
         config: the algorithm's configuration.
         team: the layout of the team.
+        seed: seed of the run.
         like: a tensor of the wanted device and type.
         cores: processor cores for the compiled kernels; 0 to compute by torch.
-
-    Attributes:
-        networks: layout of all members.
     """
 
-    def __init__(self, config: EiaSecConfig, team: TeamSpec, like: Tensor, *, cores: int) -> None:
+    def __init__(self, config: EiaSecConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         self._config, self._team = config, team
-        k_s, batch = config.ensemble_members, config.batch
-        self._widths = [critic_width(team, kind, config.joint_critics) for kind in range(len(team.groups))]
-        stacks = [
-            Stack(1, width, 1, g.count * batch, 1 + g.observation_size, 0, g.action_size)
-            for _ in range(k_s)
-            for g, width in zip(team.groups, self._widths, strict=True)
-        ]
-        self.networks = Networks(stacks, config.hidden)
-        self._pass = make_pass(self.networks, like, cores=cores)
-        kinds = [kind for kind, group in enumerate(team.groups) for _ in range(group.count)]
-        self._kinds = torch.tensor(kinds, device=like.device)
+        k_s, starts = range(config.ensemble_members), action_starts(team, config.batch)
+        shapes = [self._shape(kind, start) for kind, start in enumerate(starts)]
+        networks = Stacks(shapes * len(k_s), config.hidden, like, cores=cores)
+        members = itertools.product(k_s, team.groups)
+        for (k, group), shape, stack in zip(members, networks.shapes, networks.stacks, strict=True):
+            draw = stream(seed, "ensemble", group.name, k)
+            stack.load(initial_parameters(shape.inputs, config.hidden, 1, draw)[None])
+        super().__init__(networks, config.critic_rate, config.gradient_clip, target=True)
+        self._copies = self._proportional_copy()
 
-    def initialise(self, flat: Tensor, seed: int) -> None:
-        """Draw the parameters of every member."""
-        for k in range(self._config.ensemble_members):
-            for kind, (group, width) in enumerate(zip(self._team.groups, self._widths, strict=True)):
-                draw = initial_parameters(width, self._config.hidden, 1, stream(seed, "ensemble", group.name, k))
-                self.networks.load(flat, self.index(k, kind), torch.from_numpy(draw[None]))
+    def _shape(self, kind: int, start: int) -> Shape:
+        """Return the stack of one member of a type, whose agents' rows it sees one after another."""
+        group, width = self._team.groups[kind], critic_width(self._team, kind, self._config.joint_critics)
+        changes = Changes(start, group.observation_size, 0, group.action_size)
+        return Shape(1, width, 1, group.count * self._config.batch, changes)
 
-    def index(self, k: int, kind: int) -> int:
-        """Return the stack of the k-th member of a type."""
-        return k * len(self._team.groups) + kind
-
-    def by_agent(self, numbers: Tensor) -> Tensor:
-        """Return the mean over the members of each agent's type [agents], given one number for each stack [stacks]."""
-        means = numbers.view(self._config.ensemble_members, -1).mean(dim=0)
-        return means.index_select(0, self._kinds)
-
-    def q_values(self, parameters: Parameters, inputs: Inputs, change: list[Tensor] | None = None) -> QValues:
-        """Return Q_s,k of every agent's action [k_s, agents, B], valid until the next call.
+    def __call__(self, inputs: Inputs, actions: Tensor | None = None) -> Tensor:
+        """Return Q_s,k of every agent's action [k_s, agents, B].
 
         Args:
-            parameters: of all members.
-            inputs: observations and actions.
-            change: for each type [n_v, B, a_v], what is added to each agent's own action, and to that alone.
+            inputs: those of the batch.
+            actions: in the action layout, in place of the batch's. With them, the values are differentiable by the
+                actions alone, else by the parameters.
         """
+        return self._values(self.networks, inputs, None if actions is None else actions - inputs.batch_action)
+
+    def target_values(self, inputs: Inputs) -> Tensor:
+        """Return Q'_s,k of every agent's action [k_s, agents, B], by the target members."""
+        return self._values(self.target, inputs)
+
+    def _values(self, networks: Stacks, inputs: Inputs, change: Tensor | None = None) -> Tensor:
         members = self._config.ensemble_members
-        rows = [x[None] for x in inputs.pooled] * members
-        forward = self._pass.forward(parameters, rows, self._pooled(change) if change else ())
-        return QValues(forward.output.view(members, self._team.agents, self._config.batch), forward)
+        output: Tensor = networks([x[None] for x in inputs.pooled] * members, change)
+        return output.view(members, -1, self._config.batch)
 
-    def _pooled(self, actions: list[Tensor]) -> list[Tensor]:
-        """View actions [n_v, B, a_v] of each type as [1, n_v * B, a_v] for each member."""
-        return [a.flatten(0, 1)[None] for a in actions] * self._config.ensemble_members
+    def norms_by_agent(self) -> Tensor:
+        """Return the mean of `norms` over the members of each agent's type [agents]."""
+        means = self.norms.view(self._config.ensemble_members, -1).mean(dim=0)
+        return torch.cat([mean.expand(group.count) for mean, group in zip(means, self._team.groups, strict=True)])
 
-    def parameter_gradient(self, q: QValues, upstream: Tensor, into: Parameters) -> None:
-        """Write the gradient of sum(upstream * Q) by the members' parameters."""
-        self._pass.parameter_gradient(q.forward, upstream.reshape(-1), into)
+    def _proportional_copy(self) -> list[tuple[Tensor, Tensor]]:
+        """Return, for each type, the factors of `copy_from` on local critics [k_s, n_v] and on members [k_s, 1]."""
+        tau, k_s = self._config.ensemble_copy_rate, self._config.ensemble_members
+        rate = tau * torch.arange(1, k_s + 1, dtype=torch.float64)[:, None] / k_s
+        factors = []
+        for group in self._team.groups:
+            turns = torch.arange(group.count - 1, -1, -1, dtype=torch.float64)
+            weights, keep = rate * (1.0 - rate) ** turns, (1.0 - rate) ** group.count
+            factors.append((weights.to(self.networks.flat), keep.to(self.networks.flat)))
+        return factors
 
-    def action_gradient(self, q: QValues, upstream: Tensor, into: list[Tensor]) -> None:
-        """Add the gradient of sum(upstream * Q) by every agent's own action to `into`, [n_v, B, a_v] for each type."""
-        self._pass.action_gradient(q.forward, upstream.reshape(-1), self._pooled(into))
+    @torch.no_grad()
+    def copy_from(self, critics: Critics) -> None:
+        """Do the proportional copy (up2) from each agent's critic: phi_s,k <- keep_k phi_s,k + sum_i w_k,i phi_i."""
+        kinds = len(self._copies)
+        for kind, (weights, keep) in enumerate(self._copies):
+            copied = weights @ critics.in_own_order(kind, critics.networks.stacks[kind].flat)
+            for stack, part, kept in zip(self.networks.stacks[kind::kinds], copied, keep, strict=True):
+                stack.flat.mul_(kept).add_(part)

@@ -1,14 +1,14 @@
 """The networks' inputs: a batch of rows copied into one stacked tensor for each type.
 
-The actor of agent i sees the row [1, o_i], and its critic sees
+The actor of agent i sees the row o_i, and its critic sees
 
-    [1, o_i, a_i]                                                                      critic_scope local
-    [1, o_1 .. o_n, a_1 .. a_n]                                                        joint, the same for all agents
+    [o_i, a_i]                                                                         critic_scope local
+    [o_1 .. o_n, a_1 .. a_n]                                                           joint, the same for all agents
 
-The leading one multiplies the bias (see `eia_sec.learner.networks.stacked`). A critic that a type shares must know
-whose value it predicts. In the joint scope it therefore sees the row in the agent's own order,
+A critic that a type shares must know whose value it predicts. In the joint scope it therefore sees the row in the
+agent's own order,
 
-    [1, o_i, a_i, o of own type's others, a of own type's others, (o, a) of each other type]
+    [o_i, a_i, o of own type's others, a of own type's others, (o, a) of each other type]
 
 where "others" follow the order of the team, and all observations of a type precede all its actions. The parameters of
 all joint critics are initialised in that order.
@@ -46,7 +46,7 @@ def view_columns(team: TeamSpec, kind: int) -> list[list[int]]:
 
 
 def critic_width(team: TeamSpec, kind: int, joint: bool) -> int:
-    """Return the size of the input of a type's critics, without the leading one."""
+    """Return the size of the input of a type's critics."""
     group = team.groups[kind]
     return team.observation_size + team.action_size if joint else group.observation_size + group.action_size
 
@@ -56,6 +56,17 @@ def action_views(team: TeamSpec, batch: int, flat: Tensor) -> list[Tensor]:
     shapes = [(group.count, batch, group.action_size) for group in team.groups]
     parts = torch.split(flat, [int(np.prod(shape)) for shape in shapes])
     return [part.view(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def action_starts(team: TeamSpec, batch: int) -> list[int]:
+    """Return where each type's actions start in the action layout."""
+    sizes = [group.count * batch * group.action_size for group in team.groups]
+    return list(itertools.accumulate(sizes[:-1], initial=0))
+
+
+def as_rows(team: TeamSpec, batch: int, actions: Tensor) -> Tensor:
+    """Return actions in the action layout as rows [B, A]."""
+    return torch.cat([view.transpose(0, 1).flatten(1) for view in action_views(team, batch, actions)], dim=1)
 
 
 class RowLayout:
@@ -98,19 +109,21 @@ class Inputs:
         pooled: whether types share critics.
 
     Attributes:
-        actor: for each type [n_v, B, 1 + o_v].
-        critic: for each type [n_v, B, 1 + width]; in the joint scope all agents see the same rows.
-        pooled: for each type the rows of all its agents, as its shared critics see them, [n_v * B, 1 + width].
+        actor: for each type [n_v, B, o_v].
+        critic: for each type [n_v, B, width]; in the joint scope all agents see the same rows.
+        batch_action: the batch's own actions, in the action layout.
+        pooled: for each type the rows of all its agents, as its shared critics see them, [n_v * B, width].
     """
 
     def __init__(self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, pooled: bool = False) -> None:
         self._team, self._batch, self._joint, groups = team, batch, joint, team.groups
-        width, actions = 1 + team.observation_size + team.action_size, batch * team.action_size
-        actor = [g.count * batch * (1 + g.observation_size) for g in groups]
-        local = [g.count * batch * (1 + g.observation_size + g.action_size) for g in groups]
+        width, actions = team.observation_size + team.action_size, batch * team.action_size
+        actor = [g.count * batch * g.observation_size for g in groups]
+        local = [g.count * batch * (g.observation_size + g.action_size) for g in groups]
         ordered = [g.count * batch * width for g in groups] if joint and pooled else []
-        parts = [*actor, *([batch * width] if joint else local), *ordered]
-        pieces = list(torch.split(like.new_ones(sum(parts)), parts))
+        # Apart, because actors are differentiated after critics' inputs have got their actions.
+        parts = [*([batch * width] if joint else local), *ordered]
+        pieces = [piece for sizes in (actor, parts) for piece in torch.split(like.new_zeros(sum(sizes)), sizes)]
         kinds = len(groups)
         self.actor = [p.view(g.count, batch, -1) for p, g in zip(pieces[:kinds], groups, strict=True)]
         if joint:
@@ -123,27 +136,25 @@ class Inputs:
             self.critic = [p.view(g.count, batch, -1) for p, g in zip(pieces[kinds:], groups, strict=True)]
             self.pooled = [x.flatten(0, 1) for x in self.critic]
         self._observations, self._actions = observation_layout(team), action_layout(team)
-        self._actor_observations = [x[:, :, 1:] for x in self.actor]
         self._split_critic_columns()
-        self._batch_action, self._change = like.new_zeros(actions), like.new_zeros(actions)
-        self._batch_action_views = action_views(team, batch, self._batch_action)
-        self._change_views = action_views(team, batch, self._change)
+        self.batch_action = like.new_zeros(actions)
+        self._batch_action_views = action_views(team, batch, self.batch_action)
 
     def _split_critic_columns(self) -> None:
         """Split the critics' inputs into observations and actions, the latter [n_v, B, a_v] for each type."""
         if self._joint:
-            row, actions = self._row[:, 1:], self._row[:, 1 + self._team.observation_size :]
-            self._critic_observations = [row[:, : self._team.observation_size]]
-            self._critic_actions = self._actions.by_agent(actions)
+            size = self._team.observation_size
+            self._critic_observations = [self._row[:, :size]]
+            self._critic_actions = self._actions.by_agent(self._row[:, size:])
             return
         sizes = [group.observation_size for group in self._team.groups]
-        self._critic_observations = [x[:, :, 1 : 1 + o] for x, o in zip(self.critic, sizes, strict=True)]
-        self._critic_actions = [x[:, :, 1 + o :] for x, o in zip(self.critic, sizes, strict=True)]
+        self._critic_observations = [x[:, :, :o] for x, o in zip(self.critic, sizes, strict=True)]
+        self._critic_actions = [x[:, :, o:] for x, o in zip(self.critic, sizes, strict=True)]
 
     def fill(self, observation: Tensor, action: Tensor | None = None) -> "Inputs":
         """Copy a batch of observations [B, O], and of actions [B, A] where given; return these inputs."""
         rows = self._observations.by_agent(observation)
-        for x, part in zip(self._actor_observations, rows, strict=True):
+        for x, part in zip(self.actor, rows, strict=True):
             x.copy_(part)
         for x, part in zip(self._critic_observations, [observation] if self._joint else rows, strict=True):
             x.copy_(part)
@@ -163,15 +174,10 @@ class Inputs:
         self._fill_pooled()
         return self
 
-    def action_change(self, action: Tensor) -> list[Tensor]:
-        """Return, for each type, actions in the action layout minus those of the batch: [n_v, B, a_v]."""
-        torch.sub(action, self._batch_action, out=self._change)
-        return self._change_views
-
     def _fill_pooled(self) -> None:
         """Write joint rows in each agent's own order for critics that a type shares."""
         if not self._joint:
             return
         for x, columns, group in zip(self.pooled, self._columns, self._team.groups, strict=False):
-            view = torch.unflatten(self._row[:, 1:].index_select(1, columns), 1, (group.count, -1))
-            torch.unflatten(x, 0, (group.count, -1))[:, :, 1:].copy_(view.transpose(0, 1))
+            view = torch.unflatten(self._row.index_select(1, columns), 1, (group.count, -1))
+            torch.unflatten(x, 0, (group.count, -1)).copy_(view.transpose(0, 1))

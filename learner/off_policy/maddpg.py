@@ -7,8 +7,7 @@ One update, for every agent i at once, with x all observations and a all actions
  2. Critic loss mean_B (Q_i(x, a) - Y_i)^2, and one Adam step of each critic.
  3. Actor loss -mean_B Q_i(x, a_1 .., mu_i(o_i), .. a_N), with the others' actions from the batch, and one Adam step of
     each actor.
- 4. Soft targets: phi' <- xi phi + (1 - xi) phi', and theta' likewise. Each follows its optimiser step in the same
-    sweep.
+ 4. Soft targets: phi' <- xi phi + (1 - xi) phi', and theta' likewise.
 """
 
 import torch
@@ -27,22 +26,28 @@ class Maddpg(Algorithm[MaddpgConfig]):
 
     def update(self, batch: Batch, noise: Tensor, *, actor_step: bool, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
-        config = self.config
         inputs, next_inputs = self.inputs(batch)
 
         # 1. Targets
-        next_actions = self.actors.next_actions(next_inputs)
-        next_q = self.critics.q_values(self._target_parameters, next_inputs.with_actions(next_actions))
-        target = self.td_target(batch, next_q.values[0])
+        with torch.no_grad():
+            next_inputs.with_actions(self.actors.next_actions(next_inputs))
+            (next_q,) = self.critics.target_values(next_inputs)
+            target = self.td_target(batch, next_q)
 
         # 2. and 4. Critic loss, critic step, target critics
-        td_error, gradient = self.critic_gradient(inputs, target)
-        self.critic_adam.step(gradient, self.target_phi, config.target_rate)
+        (q,) = self.critics(inputs)
+        critic_loss = (q - target).square().mean(dim=1).sum()
+        self.critics.zero_grad()
+        critic_loss.backward()
+        self.critics.step(norms=diagnostics)
+        self.critics.follow(self.config.target_rate)
 
         # 3. and 4. Actor loss, actor step, target actors
-        policy = self.actors.policy_actions(inputs)
-        q = self.objective_q_values(inputs, policy.actions)
-        grad_wrt_q = torch.full_like(q.values, -1.0 / config.batch)
-        self.actors.step(policy, self.action_gradient(q, grad_wrt_q))
+        (objective,) = self.critics.of_policies(inputs, self.actors.actions(inputs))
+        actor_loss = -objective.mean(dim=1).sum()
+        self.actors.zero_grad()
+        actor_loss.backward()
+        self.actors.step(norms=diagnostics)
+        self.actors.follow(self.config.target_rate)
 
-        return self.measured(td_error[0], q.values[0], target) if diagnostics else None
+        return self.measured(q, objective, target) if diagnostics else None

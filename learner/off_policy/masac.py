@@ -13,7 +13,7 @@ the last term being log(1 - tanh(u_j)^2). One update, for every agent i at once:
     actions from the batch, and one Adam step of each actor.
  4. Temperature loss mean_B -alpha_i (log pi_i(a_i) + H), with H = entropy_target times the size of an action, and one
     Adam step of log alpha_i.
- 5. Soft targets of the critics, with xi, in the sweep of step 2. There are no target actors.
+ 5. Soft targets of the critics, with xi, after step 2. There are no target actors.
 
 Steps 1 and 3 use alpha_i from the start of the update.
 """
@@ -28,28 +28,22 @@ from torch.nn.functional import softplus
 from eia_sec.common.actors import LOG_STD_RANGE
 from eia_sec.common.config import MasacConfig
 from eia_sec.common.team import TeamSpec
-from eia_sec.learner.networks.optimiser import Adam
-from eia_sec.learner.networks.stacked import Forward
+from eia_sec.learner.networks.adam import Adam
 from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
 from eia_sec.learner.off_policy.inputs import Inputs
+from eia_sec.learner.off_policy.trained import ADAM_EPSILON
 
 
 class ActionSample(NamedTuple):
-    """Actions sampled from the actors; all but the last two in the action layout.
+    """Actions sampled from the actors.
 
     Attributes:
-        actions: a = tanh(u).
-        scaled_noise: s n.
-        in_range: 1 where the head's log s was within its range, else 0.
+        actions: a = tanh(u), in the action layout.
         log_probability: log pi(a) [agents, B].
-        forward: the actors' forward pass.
     """
 
     actions: Tensor
-    scaled_noise: Tensor
-    in_range: Tensor
     log_probability: Tensor
-    forward: Forward
 
 
 class Masac(Algorithm[MasacConfig]):
@@ -63,7 +57,8 @@ class Masac(Algorithm[MasacConfig]):
     def __init__(self, config: MasacConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         super().__init__(config, team, seed, like, cores=cores)
         self.log_alpha = like.new_full((team.agents,), math.log(config.temperature))
-        self._alpha_adam = Adam(self.log_alpha, config.temperature_rate, cores=cores)
+        self._log_alpha = self.log_alpha.detach().requires_grad_()
+        self._alpha_adam = Adam([([self._log_alpha], config.temperature_rate)], epsilon=ADAM_EPSILON)
         sizes = [group.action_size for group in team.groups for _ in range(group.count)]
         self._target_entropy = like.new_tensor(sizes) * config.entropy_target
         self._index_outputs(sizes)
@@ -73,14 +68,13 @@ class Masac(Algorithm[MasacConfig]):
         width = torch.tensor(sizes).repeat_interleave(self.config.batch)
         row = torch.arange(width.shape[0]).repeat_interleave(width)
         mean = torch.arange(row.shape[0]) + (torch.cumsum(width, 0) - width)[row]
-        self._row, self._mean, self._log_std = (x.to(self.like.device) for x in (row, mean, mean + width[row]))
-        self._output_gradient = self.like.new_zeros(2 * row.shape[0])
+        self._row, self._mean, self._log_std = (x.to(self.log_alpha.device) for x in (row, mean, mean + width[row]))
 
     def tensors(self) -> dict[str, Tensor]:
         """See `Algorithm`."""
-        adam = self._alpha_adam
-        own = {"log_alpha": self.log_alpha, "alpha_mean": adam.mean, "alpha_square": adam.square}
-        return {**super().tensors(), **own, "alpha_steps": adam.steps}
+        moments = self._alpha_adam.moments[self._log_alpha]._asdict()
+        own = {f"log_alpha.{name}": tensor for name, tensor in moments.items()}
+        return {**super().tensors(), "log_alpha": self.log_alpha, **own}
 
     def update(self, batch: Batch, noise: Tensor, *, actor_step: bool, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
@@ -89,55 +83,49 @@ class Masac(Algorithm[MasacConfig]):
         alpha = self.log_alpha.exp()[:, None]
 
         # 1. Targets
-        following = self._sample(next_inputs, noise[0])
-        next_q = self.critics.q_values(self._target_parameters, next_inputs.with_actions(following.actions))
-        next_value = torch.minimum(next_q.values[0], next_q.values[1]) - alpha * following.log_probability
-        target = self.td_target(batch, next_value)
+        with torch.no_grad():
+            following = self._sample(next_inputs, noise[0])
+            next_q = self.critics.target_values(next_inputs.with_actions(following.actions))
+            next_value = torch.minimum(next_q[0], next_q[1]) - alpha * following.log_probability
+            target = self.td_target(batch, next_value)
 
         # 2. and 5. Critic loss, critic step, target critics
-        td_error, gradient = self.critic_gradient(inputs, target)
-        self.critic_adam.step(gradient, self.target_phi, config.target_rate)
+        q = self.critics(inputs)
+        critic_loss = (q - target).square().mean(dim=2).sum()
+        self.critics.zero_grad()
+        critic_loss.backward()
+        self.critics.step(norms=diagnostics)
+        self.critics.follow(config.target_rate)
 
         # 3. Actor loss, actor step
         sample = self._sample(inputs, noise[1])
-        q = self.objective_q_values(inputs, sample.actions)
-        first = (q.values[0] <= q.values[1]).to(q.values.dtype)
-        grad_wrt_q = torch.stack((first, 1.0 - first)) * (-1.0 / config.batch)
-        grad_wrt_outputs = self._output_gradients(sample, self.action_gradient(q, grad_wrt_q), alpha)
-        self.actors.step_from_outputs(sample.forward, grad_wrt_outputs)
+        q_policy = self.critics.of_policies(inputs, sample.actions)
+        objective = torch.minimum(q_policy[0], q_policy[1]) - alpha * sample.log_probability
+        actor_loss = -objective.mean(dim=1).sum()
+        self.actors.zero_grad()
+        actor_loss.backward()
+        self.actors.step(norms=diagnostics)
 
         # 4. Temperature loss, temperature step
-        log_probability = sample.log_probability.mean(dim=1)
+        log_probability = sample.log_probability.detach().mean(dim=1)
         if config.temperature_rate > 0.0:
-            self._alpha_adam.step(-(alpha[:, 0] * (log_probability + self._target_entropy)))
+            temperature_loss = -(self._log_alpha.exp() * (log_probability + self._target_entropy)).sum()
+            self._alpha_adam.zero_grad()
+            temperature_loss.backward()
+            self._alpha_adam.step()
 
         if not diagnostics:
             return None
-        objective = torch.minimum(q.values[0], q.values[1]) - alpha * sample.log_probability
-        return self.measured(td_error[0], objective, target)._replace(
+        return self.measured(q[0], objective, target)._replace(
             temperature=alpha[:, 0], log_probability=log_probability, entropy_regularised=True
         )
 
     def _sample(self, inputs: Inputs, noise: Tensor) -> ActionSample:
-        forward = self.actors.outputs(inputs)
-        raw = forward.output.index_select(0, self._log_std)
-        log_std = raw.clamp(*LOG_STD_RANGE)
-        scaled_noise = log_std.exp() * noise
-        u = forward.output.index_select(0, self._mean) + scaled_noise
+        outputs = self.actors.outputs(inputs)
+        log_std = outputs.index_select(0, self._log_std).clamp(*LOG_STD_RANGE)
+        u = outputs.index_select(0, self._mean) + log_std.exp() * noise
         correction = 2.0 * (math.log(2.0) - u - softplus(-2.0 * u))
         density = noise.square() * -0.5 - log_std - correction - 0.5 * math.log(2.0 * math.pi)
         rows = self.team.agents * self.config.batch
-        log_probability = density.new_zeros(rows).index_add_(0, self._row, density).view(-1, self.config.batch)
-        return ActionSample(u.tanh_(), scaled_noise, (raw == log_std).to(raw.dtype), log_probability, forward)
-
-    def _output_gradients(self, sample: ActionSample, action_gradient: Tensor, alpha: Tensor) -> Tensor:
-        """Return the gradient of the actor loss by m and log s, given that of its Q term by the actions.
-
-        With g the latter, c = alpha / B and d log pi / du = 2 a (n being given), dL/du = g (1 - a^2) + 2 c a,
-        dL/dm = dL/du, and dL/dlog s = s n dL/du - c where log s is in range.
-        """
-        batch, actions = self.config.batch, sample.actions
-        weight = (alpha / batch).expand(-1, batch).reshape(-1).index_select(0, self._row)
-        by_u = torch.addcmul(action_gradient, action_gradient * actions, actions, value=-1.0) + 2.0 * weight * actions
-        by_log_std = (by_u * sample.scaled_noise - weight) * sample.in_range
-        return self._output_gradient.index_copy_(0, self._mean, by_u).index_copy_(0, self._log_std, by_log_std)
+        log_probability = density.new_zeros(rows).index_add(0, self._row, density).view(-1, self.config.batch)
+        return ActionSample(torch.tanh(u), log_probability)

@@ -8,7 +8,7 @@ MADDPG with the three changes of TD3. One update, for every agent i at once:
  2. Critic loss sum_k mean_B (Q_i,k(x, a) - Y_i)^2, and one Adam step of both critics.
  3. In every `actor_delay`-th update, actor loss -mean_B Q_i,1(x, a_1 .., mu_i(o_i), .. a_N), and one Adam step of each
     actor.
- 4. In the same updates soft targets, with xi, of critics and actors. Each follows its optimiser step in the same sweep.
+ 4. In the same updates soft targets, with xi, of critics and actors.
 """
 
 import torch
@@ -39,22 +39,30 @@ class Matd3(Algorithm[Matd3Config]):
         inputs, next_inputs = self.inputs(batch)
 
         # 1. Targets
-        smoothing = (noise[0] * config.smoothing_noise).clamp_(-config.smoothing_clip, config.smoothing_clip)
-        next_actions = self.actors.next_actions(next_inputs).add_(smoothing).clamp_(-1.0, 1.0)
-        next_q = self.critics.q_values(self._target_parameters, next_inputs.with_actions(next_actions))
-        target = self.td_target(batch, torch.minimum(next_q.values[0], next_q.values[1]))
+        with torch.no_grad():
+            smoothing = (noise[0] * config.smoothing_noise).clamp_(-config.smoothing_clip, config.smoothing_clip)
+            next_inputs.with_actions(self.actors.next_actions(next_inputs).add_(smoothing).clamp_(-1.0, 1.0))
+            next_q = self.critics.target_values(next_inputs)
+            target = self.td_target(batch, torch.minimum(next_q[0], next_q[1]))
 
         # 2. and 4. Critic loss, critic step, target critics
-        td_error, gradient = self.critic_gradient(inputs, target)
-        self.critic_adam.step(gradient, self.target_phi if actor_step else None, config.target_rate)
+        q = self.critics(inputs)
+        critic_loss = (q - target).square().mean(dim=2).sum()
+        self.critics.zero_grad()
+        critic_loss.backward()
+        self.critics.step(norms=diagnostics)
+        if actor_step:
+            self.critics.follow(config.target_rate)
         if not (actor_step or diagnostics):
             return None
 
         # 3. and 4. Actor loss, actor step, target actors
-        policy = self.actors.policy_actions(inputs)
-        q = self.objective_q_values(inputs, policy.actions)
+        (objective,) = self.critics.of_policies(inputs, self.actors.actions(inputs))
         if actor_step:
-            grad_wrt_q = torch.full_like(q.values, -1.0 / config.batch)
-            self.actors.step(policy, self.action_gradient(q, grad_wrt_q))
+            actor_loss = -objective.mean(dim=1).sum()
+            self.actors.zero_grad()
+            actor_loss.backward()
+            self.actors.step(norms=diagnostics)
+            self.actors.follow(config.target_rate)
 
-        return self.measured(td_error[0], q.values[0], target) if diagnostics else None
+        return self.measured(q[0], objective, target) if diagnostics else None

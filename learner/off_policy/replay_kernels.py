@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from eia_sec.common.transitions import TRANSITION
 from eia_sec.learner.networks.compilation import Function
-from eia_sec.learner.networks.kernels import Table
+from eia_sec.learner.networks.compiled import Table
 
 
 def compiled(function: Function) -> Function:

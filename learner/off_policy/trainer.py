@@ -135,7 +135,7 @@ class OffPolicyTrainer(Trainer):
         engine = self.engine
         own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()}
         found, means = checked_tensors(own, tensors), self.diagnostics.kept(tensors)
-        require_moments(found, "_steps", "_mean", "_square")
+        require_moments(found)
         updates, comparisons = counter(state, "diagnostic_updates"), counter(state, "comparisons")
         random, noise = restored_random(state.get("random")), restored_random(state.get("update_noise"))
         age, oldest = finite(state, "sample_age"), finite(state, "sample_age_most")

@@ -178,7 +178,7 @@ class OnPolicyTrainer(Trainer):
         """Continue from `snapshot_parts`."""
         own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
         found = checked_tensors(own, tensors)
-        require_moments(found, ".step", ".exp_avg", ".exp_avg_sq")
+        require_moments(found)
         require_one_count(found)
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")

@@ -28,8 +28,8 @@ from eia_sec.common.errors import CheckpointError
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Rows
 from eia_sec.learner.checkpoint.array_tensors import as_tensor
+from eia_sec.learner.networks.adam import Adam
 from eia_sec.learner.networks.device import product_dtype
-from eia_sec.learner.networks.fused_adam import FusedAdam
 from eia_sec.learner.networks.sequences import TypeSequences
 from eia_sec.learner.networks.side_by_side import SideBySide
 from eia_sec.learner.networks.stack import Stack
@@ -44,6 +44,8 @@ from eia_sec.learner.registry import ON_POLICY
 VALUE_BATCH = 4096
 """Rows whose values are computed at once."""
 EPSILON = 1e-8
+"""Added to the deviation that advantages are divided by."""
+ADAM_EPSILON = 1e-5
 MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
 NOTHING_SEEN = Observations((), torch.zeros(0, 0))
@@ -78,9 +80,8 @@ class Updates:
         self.policies, self.values = self.algorithm.policies, self.algorithm.values
         self._all_networks = (("actors", self.policies), ("values", nn.ModuleList(self.values)))
         rates = config.actor_rate, config.critic_rate
-        self._adam = FusedAdam(
-            (networks.parameters(), rate) for (_, networks), rate in zip(self._all_networks, rates, strict=True)
-        )
+        groups = [(networks.parameters(), rate) for (_, networks), rate in zip(self._all_networks, rates, strict=True)]
+        self._adam = Adam(groups, epsilon=ADAM_EPSILON)
         # Networks with memory go through sequences, whose number differs from one minibatch to the next.
         captures = device != "cpu" and config.memory == "none"
         self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
@@ -199,7 +200,7 @@ class Updates:
 
     def _learn(self, batch: Minibatch) -> list[dict[str, Tensor]]:
         """Take one step of Adam for each type; return what was measured of each."""
-        self._adam.forget_gradients()
+        self._adam.zero_grad()
         kinds = range(len(self._groups))
         gradients = self._actor_gradient, self._value_gradient
         found = self._side_by_side.run([partial(gradient, kind, batch) for gradient in gradients for kind in kinds])
@@ -215,7 +216,7 @@ class Updates:
         if batch.stopped[kind]:
             return {}
         part = self.algorithm.actor_loss(kind, batch)
-        part.loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        part.loss.backward()
         return {
             "actor_loss": part.loss.detach(),
             "entropy": part.entropy,
@@ -227,7 +228,7 @@ class Updates:
     def _value_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
         loss = self.algorithm.value_loss(kind, batch)
-        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        loss.backward()
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
     def end_epoch(self) -> None:

@@ -2,7 +2,7 @@
 
     python -m research.benchmarks.products [--widths 64 128] [--repeats 200]
 
-The products are those of a local critic (67 inputs and the one) and of a joint one (437) for a batch of 128, and of a
+The products are those of a local critic (67 inputs) and of a joint one (437) for a batch of 128, and of a
 member that four agents share, with hidden layers of the given widths: what goes forward (a b), the gradient by the
 weights (a^T b) and the gradient through a layer (a b^T). Prints JSON; each speed is the best of many, and `limit` is
 that of a large product (see `research.benchmarks.learner`).
@@ -33,7 +33,7 @@ from eia_sec.learner.networks.matrix_products import (  # noqa: E402  (as above)
 from research.benchmarks.learner import fastest, matrix_speed  # noqa: E402  (as above)
 
 ROWS: Final = (128, 512)
-INPUTS: Final = (68, 438)
+INPUTS: Final = (67, 437)
 IN_A_ROW: Final = 10
 """Products that are timed together."""
 

@@ -67,7 +67,7 @@ def works(trainer, ledger):
     trainer.statistics()
     ledger.accounts()
     RunStorage(None, CONFIG).save(trainer, ledger, 0.0, 1)
-    return all(torch.isfinite(tensor).all() for tensor in trainer.engine.algorithm.actors.flat)
+    return all(torch.isfinite(tensor).all() for tensor in trainer.engine.algorithm.actors.networks.flat.detach())
 
 
 def check_forged_manifests(found, directory, values, share):
@@ -123,14 +123,14 @@ def restored_tensor(directory, found, key, forged):
 def test_forged_moments_are_refused(saved, tmp_path):
     """Counts of updates and mean squares below zero, means of gradients too large for them; possible ones are taken."""
     found = files.load_latest(saved[0] / CHECKPOINTS)
-    counts = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_steps")]
-    squares = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_square")]
+    counts = [name for name in found.tensors if name.startswith("engine.") and name.endswith(".step")]
+    squares = [name for name in found.tensors if name.startswith("engine.") and name.endswith(".exp_avg_sq")]
     assert len(counts) == len(squares) > 1
     for name in (*counts, *squares):
         tensor = found.tensors[name]
         assert restored_tensor(tmp_path, found, name, tensor - tensor.max() - 1) is None
     for name in squares:
-        mean = found.tensors[name.removesuffix("_square") + "_mean"]
+        mean = found.tensors[name.removesuffix("_sq")]
         assert mean.any()
         assert restored_tensor(tmp_path, found, name, torch.zeros_like(mean)) is None
         assert restored_tensor(tmp_path, found, name, (mean / 8.0) ** 2) is None
@@ -282,6 +282,6 @@ def test_weights_that_overflow_are_refused(saved, tmp_path):
     """Finite weights of 1e38 would make every value NaN at the next update; large ones that networks have are taken."""
     found = files.load_latest(saved[0] / CHECKPOINTS)
     for size, refused in ((1e38, True), (1e9, False)):
-        forged = found.tensors["engine.actors"].clone()
+        forged = found.tensors["engine.actors.parameters"].clone()
         forged.view(-1)[0] = size
-        assert (restored_tensor(tmp_path, found, "engine.actors", forged) is None) == refused
+        assert (restored_tensor(tmp_path, found, "engine.actors.parameters", forged) is None) == refused

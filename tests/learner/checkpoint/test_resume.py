@@ -179,13 +179,13 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
     trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     play(trainer, ledger, recorded(6), 0, 6)
     storage.save(trainer, ledger, 0.0, 1, wait=True)
-    good = trainer.engine.algorithm.actors.flat[5].clone()
-    trainer.engine.algorithm.actors.flat[5] = float("nan")
+    good = trainer.engine.algorithm.actors.networks.flat.detach()[5].clone()
+    trainer.engine.algorithm.actors.networks.flat.detach()[5] = float("nan")
     storage.save(trainer, ledger, 1.0, 1, wait=True)
-    assert "engine.actors holds a number that is not finite" in storage.alarm
+    assert "engine.actors.parameters holds a number that is not finite" in storage.alarm
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 0.0
     assert [path.name for path in (tmp_path / CHECKPOINTS).iterdir()] == ["checkpoint-00000001"]
-    trainer.engine.algorithm.actors.flat[5] = good
+    trainer.engine.algorithm.actors.networks.flat.detach()[5] = good
     storage.save(trainer, ledger, 2.0, 1, wait=True)
     assert storage.alarm == ""
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 2.0

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from eia_sec.learner.networks.compiled_pass import even, shares
+from eia_sec.learner.networks.compiled import shares
 
 UPDATES = """
 import json
@@ -31,7 +31,7 @@ for name in ("eia-sec", "maddpg", "masac"):
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     for batch in batches(TEAM, config, 20):
         engine.update(batch)
-    found[name] = engine.algorithm.actors.flat.tolist()
+    found[name] = engine.algorithm.actors.networks.flat.detach().tolist()
 print(json.dumps({"threads": numba.get_num_threads(), "layer": cores > 1 and numba.threading_layer(), **found}))
 """
 
@@ -47,14 +47,6 @@ def test_shares_are_all_of_it_and_about_as_large(costs, cores):
     parts = [sum(costs[thing] for thing in order[a:b]) for a, b in itertools.pairwise(bounds)]
     assert len(parts) == min(cores, len(costs))
     assert max(parts) <= sum(costs) / len(parts) + max(costs)
-
-
-def test_even_parts_cover_a_vector():
-    """A sweep's parts follow one another, and differ by one number at most."""
-    bounds = even(103, 4)
-    assert bounds[0] == 0
-    assert bounds[-1] == 103
-    assert np.ptp(np.diff(bounds)) <= 1
 
 
 def test_two_cores_train_as_one_does():

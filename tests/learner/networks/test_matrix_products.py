@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from eia_sec.learner.networks import compiled_pass, matrix_products
+from eia_sec.learner.networks import compiled, matrix_products
 from eia_sec.learner.networks.matrix_products import SMALL, WHOLE
 from eia_sec.learner.off_policy.engine import Engine
 from tests.learner.off_policy.test_engine import BASE, TEAM, batches
@@ -78,11 +78,11 @@ def test_training_ends_where_whole_products_do(monkeypatch, name):
     """Twenty updates in pieces, of many sizes, end within rounding of twenty updates with whole products."""
     config, ends = variant(BASE, name), []
     for piece in (SMALL, 500, WHOLE):
-        monkeypatch.setattr(compiled_pass, "piece_size", lambda piece=piece: piece)
+        monkeypatch.setattr(compiled, "piece_size", lambda piece=piece: piece)
         engine = Engine(config, TEAM, 3, dtype=torch.float64, cores=1)
         for batch in batches(TEAM, config, 20):
             engine.update(batch)
-        ends.append(engine.algorithm.actors.flat.clone())
+        ends.append(engine.algorithm.actors.networks.flat.detach().clone())
     for end in ends[:-1]:
         torch.testing.assert_close(end, ends[-1], rtol=1e-9, atol=1e-9)
 

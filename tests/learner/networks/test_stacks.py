@@ -18,7 +18,9 @@ INPUTS, HIDDEN, OUTPUTS = 7, 16, 3
 
 def stack_of(count):
     """Return a stack of so many networks."""
-    return Stack(count, INPUTS, HIDDEN, OUTPUTS, 1.0, [(0, "network", index) for index in range(count)])
+    stack = Stack(count, INPUTS, HIDDEN, OUTPUTS)
+    stack.draw(1.0, [(0, "network", index) for index in range(count)])
+    return stack
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -135,7 +135,7 @@ def test_actors_step_once_a_period(name, period):
     engine = Engine(config, TEAM, 0)
     steps = []
     for batch in batches(TEAM, config, 2 * period, torch.float32):
-        before = engine.algorithm.actors.flat.clone()
+        before = engine.algorithm.actors.networks.flat.detach().clone()
         engine.update(batch)
-        steps.append(not torch.equal(engine.algorithm.actors.flat, before))
+        steps.append(not torch.equal(engine.algorithm.actors.networks.flat.detach(), before))
     assert steps == 2 * [*[False] * (period - 1), True]

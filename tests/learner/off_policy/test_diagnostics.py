@@ -59,8 +59,7 @@ def test_spread_is_the_members_standard_deviation():
     seen = np.split(rows.observation.numpy(), np.cumsum([3, 3, 2, 2]), axis=1)
     for agent in range(TEAM.agents):
         kind = 0 if agent < 2 else 1
-        sec, flat = engine.algorithm.ensemble, engine.algorithm.members.flat
-        members = [sec.networks.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
+        members = [stack.export()[0] for stack in engine.algorithm.ensemble.networks.stacks[kind :: len(TEAM.groups)]]
         x = np.concatenate([seen[agent], action[agent]], axis=1)
         values = [critic(flat, x, 8) for flat in members]
         np.testing.assert_allclose(diagnostics.member_std[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
@@ -78,8 +77,9 @@ def test_gradient_norms_are_of_each_agents_own_networks():
     diagnostics = engine.update(batch(16), diagnostics=True)
     wanted = []
     for kind, group in enumerate(TEAM.groups):
-        layers = engine.algorithm.critics.networks.layers_of(engine.algorithm.gradient, kind)
-        wanted += [float(sum(layer[i].square().sum() for layer in layers)) ** 0.5 for i in range(group.count)]
+        networks = engine.algorithm.critics.networks
+        gradient = networks.parts(networks.flat.grad)[kind]
+        wanted += [float(gradient[i].square().sum()) ** 0.5 for i in range(group.count)]
     np.testing.assert_allclose(diagnostics.critic_gradient_norm, wanted, rtol=1e-5)
     assert len({round(float(norm), 7) for norm in diagnostics.actor_gradient_norm}) == TEAM.agents
     assert diagnostics.actor_gradient_norm.min() > 0

@@ -65,26 +65,26 @@ def batches(team, config, count, dtype=torch.float64, seed=1):
         )
 
 
-def critic_stacks(engine, flat):
+def stacks_of(networks):
+    """Return a copy of the parameters [n, P] of each stack."""
+    return [torch.from_numpy(stack.export()) for stack in networks.stacks]
+
+
+def critic_stacks(engine, part="networks"):
+    """Return the parameters of all critics, in their agents' order, and those of all members."""
     method, kinds = engine.algorithm, range(len(engine.team.groups))
-    size = method.critics.networks.size
-    local = [method.critics.export(flat[:size], 0, kind) for kind in kinds]
+    critics = stacks_of(getattr(method.critics, part))
+    local = [method.critics.in_own_order(kind, critics[kind]) for kind in kinds]
     if not getattr(method, "ensemble", None):
         return local, [torch.empty(0, 0) for _ in kinds]
-    members, k_s = method.ensemble, range(engine.config.ensemble_members)
-    return local, [
-        torch.cat([members.networks.export(flat[size:], members.index(k, kind)) for k in k_s]) for kind in kinds
-    ]
-
-
-def actor_stacks(engine, flat):
-    return [engine.algorithm.actors.networks.export(flat, kind) for kind in range(len(engine.team.groups))]
+    members = stacks_of(getattr(method.ensemble, part))
+    return local, [torch.cat(members[kind :: len(kinds)]) for kind in kinds]
 
 
 def twins(team, config, dtype=torch.float64, seed=3, cores=None):
     engine = Engine(config, team, seed, dtype=dtype, cores=cores)
-    local, members = critic_stacks(engine, engine.algorithm.phi)
-    return engine, Oracle(config, team, actor_stacks(engine, engine.algorithm.actors.flat), local, members)
+    local, members = critic_stacks(engine)
+    return engine, Oracle(config, team, stacks_of(engine.algorithm.actors.networks), local, members)
 
 
 def differences(engine, oracle):
@@ -94,14 +94,14 @@ def differences(engine, oracle):
         rows = torch.cat([stack.flatten() for stack in stacks])
         return float((rows - torch.cat([network.flat() for network in networks])).abs().max())
 
-    method = engine.algorithm
-    local, members = critic_stacks(engine, method.phi)
-    target_local, target_members = critic_stacks(engine, method.target_phi)
-    yield "actors", gap(actor_stacks(engine, method.actors.flat), oracle.actors)
+    actors = engine.algorithm.actors
+    local, members = critic_stacks(engine)
+    target_local, target_members = critic_stacks(engine, "target")
+    yield "actors", gap(stacks_of(actors.networks), oracle.actors)
     yield "critics", gap(local, oracle.critics)
     yield "target critics", gap(target_local, oracle.target_critics)
-    if method.actors.target is not None:
-        yield "target actors", gap(actor_stacks(engine, method.actors.target), oracle.target_actors)
+    if engine.config.target_actor:
+        yield "target actors", gap(stacks_of(actors.target), oracle.target_actors)
     if engine.config.uses_ensemble:
         yield "members", gap(members, [m for group in oracle.members for m in group])
         yield "target members", gap(target_members, [m for group in oracle.target_members for m in group])
@@ -118,12 +118,12 @@ def test_fifty_updates_equal_the_loop_over_agents(switch, team):
     config = replace(BASE, **SWITCHES[switch])
     engine, oracle = twins(team, config, cores=1)
     engines = [engine, *(twins(team, config, cores=cores)[0] for cores in (0, 3))]
-    start = engine.algorithm.actors.flat.clone()
+    start = engine.algorithm.actors.networks.flat.detach().clone()
     for batch in batches(team, config, 50):
         for engine in engines:
             engine.update(batch)
         oracle.update(batch)
-    assert float((engines[0].algorithm.actors.flat - start).abs().max()) > 1e-3
+    assert float((engines[0].algorithm.actors.networks.flat.detach() - start).abs().max()) > 1e-3
     for engine in engines:
         for name, gap in differences(engine, oracle):
             assert gap < 1e-9, f"{name} differ by {gap}"
@@ -193,11 +193,12 @@ def test_actors_start_as_everybody_draws_them():
 def test_critics_start_alike_and_members_apart():
     """Local critics of a type start as one network, SEC members as different ones, targets as copies."""
     engine = Engine(BASE, TEAM, 5)
-    local, members = critic_stacks(engine, engine.algorithm.phi)
+    local, members = critic_stacks(engine)
     for stack, group in zip(local, members, strict=True):
         assert (stack == stack[0]).all()
         assert not torch.equal(group[0], group[1])
-    assert torch.equal(engine.algorithm.phi, engine.algorithm.target_phi)
+    for trained in (engine.algorithm.critics, engine.algorithm.ensemble):
+        assert torch.equal(trained.networks.flat, trained.target.flat)
 
 
 def test_parameters_survive_loading_and_exporting():

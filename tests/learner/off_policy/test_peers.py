@@ -9,7 +9,7 @@ from eia_sec.common.config import EiaSecConfig
 from eia_sec.common.seeds import stream
 from eia_sec.learner.off_policy.engine import NOISE, Engine
 from tests.learner.off_policy.peers import MaddpgOracle, MasacOracle, Matd3Oracle
-from tests.learner.off_policy.test_engine import TEAM, UNEVEN, actor_stacks, batches, same_state
+from tests.learner.off_policy.test_engine import TEAM, UNEVEN, batches, same_state, stacks_of
 from tests.learner.off_policy.variants import variant
 
 ORACLES = {"maddpg": MaddpgOracle, "matd3": Matd3Oracle, "masac": MasacOracle}
@@ -25,9 +25,10 @@ OPTIONS = {
 
 
 def critics_of(engine, part):
-    method, kinds = engine.algorithm, range(len(engine.team.groups))
-    flat = getattr(method, part)
-    return [[method.critics.export(flat, k, kind) for kind in kinds] for k in range(method.critics_each)]
+    method, kinds = engine.algorithm, len(engine.team.groups)
+    stacks = stacks_of(getattr(method.critics, part))
+    own = [method.critics.in_own_order(number % kinds, flat) for number, flat in enumerate(stacks)]
+    return [own[k * kinds : (k + 1) * kinds] for k in range(method.critics_each)]
 
 
 @pytest.mark.parametrize("option", OPTIONS)
@@ -38,14 +39,15 @@ def test_fifty_updates_equal_the_loop_over_agents(name, option):
     config = variant(BASE, name, **OPTIONS[option])
     engines = [Engine(config, team, 3, dtype=torch.float64, cores=cores) for cores in (1, 0, 3)]
     method, noise = engines[0].algorithm, stream(3, NOISE)
-    oracle = ORACLES[name](config, team, actor_stacks(engines[0], method.actors.flat), critics_of(engines[0], "phi"))
-    start = method.actors.flat.clone()
+    actors = method.actors.networks
+    oracle = ORACLES[name](config, team, stacks_of(actors), critics_of(engines[0], "networks"))
+    start = actors.flat.detach().clone()
     for batch in batches(team, config, 50):
         drawn = noise.standard_normal((method.noise_blocks, config.batch * team.action_size), np.float32)
         for engine in engines:
             engine.update(batch)
         oracle.update(batch, torch.from_numpy(drawn).double())
-    assert float((method.actors.flat - start).abs().max()) > 1e-3
+    assert float((actors.flat.detach() - start).abs().max()) > 1e-3
     for engine in engines:
         for part, gap in differences(engine, oracle):
             assert gap < 1e-9, f"{part} differ by {gap}"
@@ -59,10 +61,10 @@ def differences(engine, oracle):
         rows = torch.cat([stack.flatten() for stack in stacks])
         return float((rows - torch.cat([network.flat() for network in networks])).abs().max())
 
-    yield "actors", gap(actor_stacks(engine, method.actors.flat), oracle.actors)
-    if method.actors.target is not None:
-        yield "target actors", gap(actor_stacks(engine, method.actors.target), oracle.target_actors)
-    for part, theirs in ("phi", oracle.critics), ("target_phi", oracle.target_critics):
+    yield "actors", gap(stacks_of(method.actors.networks), oracle.actors)
+    if method.has_target_actors():
+        yield "target actors", gap(stacks_of(method.actors.target), oracle.target_actors)
+    for part, theirs in ("networks", oracle.critics), ("target", oracle.target_critics):
         for k, stacks in enumerate(critics_of(engine, part)):
             yield f"{part} {k}", gap(stacks, theirs[k])
     if method.head == "gaussian":
@@ -86,7 +88,7 @@ def test_diagnostics_change_nothing(name):
 def test_twin_critics_start_apart_and_agents_alike():
     """The two critics of an agent start as different networks, those of a type's agents as one."""
     engine = Engine(variant(BASE, "matd3"), TEAM, 5)
-    first, second = critics_of(engine, "phi")
+    first, second = critics_of(engine, "networks")
     for a, b in zip(first, second, strict=True):
         assert not torch.equal(a, b)
         assert (a == a[0]).all()

@@ -19,7 +19,9 @@ INPUTS, HIDDEN = 3, 4
 
 
 def stack_of(count):
-    return RecurrentStack(count, INPUTS, HIDDEN, 2, 1.0, [(0, "test", index) for index in range(count)])
+    stack = RecurrentStack(count, INPUTS, HIDDEN, 2)
+    stack.draw(1.0, [(0, "test", index) for index in range(count)])
+    return stack
 
 
 def sequences_of(keep, networks):

@@ -8,11 +8,10 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999
-EPSILON: Final = 1e-5
 
 
 class Moments(NamedTuple):
@@ -29,17 +28,19 @@ class Moments(NamedTuple):
     exp_avg_sq: Tensor
 
 
-class FusedAdam:
+class Adam:
     """Adam with bias correction for groups of parameters, each with a rate of its own.
 
     Args:
         groups: for each group its parameters, which are changed in place, and its learning rate.
+        epsilon: what is added to the root of the second moments.
 
     Attributes:
         moments: of each parameter.
     """
 
-    def __init__(self, groups: Iterable[tuple[Iterable[nn.Parameter], float]]) -> None:
+    def __init__(self, groups: Iterable[tuple[Iterable[Tensor], float]], *, epsilon: float) -> None:
+        self._epsilon = epsilon
         self._groups = [(list(parameters), rate) for parameters, rate in groups]
         self.moments = {
             parameter: Moments(
@@ -53,8 +54,8 @@ class FusedAdam:
         """Return everything that a step changes."""
         return [tensor for parameter, moments in self.moments.items() for tensor in (parameter, *moments)]
 
-    def forget_gradients(self) -> None:
-        """Let all parameters be without a gradient."""
+    def zero_grad(self) -> None:
+        """Forget all gradients."""
         for parameter in self.moments:
             parameter.grad = None
 
@@ -86,7 +87,7 @@ class FusedAdam:
                 beta1=BETA1,
                 beta2=BETA2,
                 weight_decay=0.0,
-                eps=EPSILON,
+                eps=self._epsilon,
                 amsgrad=False,
                 maximize=False,
             )

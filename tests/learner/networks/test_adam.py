@@ -5,9 +5,10 @@ import sys
 
 import torch
 
-from eia_sec.learner.networks.fused_adam import EPSILON, FusedAdam
+from eia_sec.learner.networks.adam import Adam
 
 RATES = 1e-3, 3e-4
+EPSILON = 1e-5
 
 
 def test_steps_are_those_of_torch():
@@ -15,7 +16,7 @@ def test_steps_are_those_of_torch():
     torch.manual_seed(0)
     own = [torch.nn.Parameter(torch.randn(2, 1000)) for _ in range(3)]
     other = [torch.nn.Parameter(parameter.detach().clone()) for parameter in own]
-    adam = FusedAdam([(own[:2], RATES[0]), (own[2:], RATES[1])])
+    adam = Adam([(own[:2], RATES[0]), (own[2:], RATES[1])], epsilon=EPSILON)
     reference = torch.optim.Adam([{"params": other[:2]}, {"params": other[2:]}], eps=EPSILON, fused=True)
     for step in range(20):
         share = 1.0 - step / 40
@@ -30,14 +31,14 @@ def test_steps_are_those_of_torch():
         assert torch.equal(mine, theirs)
         for name, moment in adam.moments[mine]._asdict().items():
             assert torch.equal(moment, reference.state[theirs][name])
-    adam.forget_gradients()
+    adam.zero_grad()
     assert all(parameter.grad is None for parameter in own)
 
 
 def test_a_share_may_be_a_tensor():
     """A step whose share of the rates is a tensor is that with the number."""
     own, other = (torch.nn.Parameter(torch.linspace(-1.0, 1.0, 9)) for _ in range(2))
-    numbers, tensors = (FusedAdam([([parameter], RATES[0])]) for parameter in (own, other))
+    numbers, tensors = (Adam([([parameter], RATES[0])], epsilon=EPSILON) for parameter in (own, other))
     for share in (1.0, 0.5, 0.25):
         own.grad, other.grad = torch.sin(own.detach()), torch.sin(other.detach())
         numbers.step(share)
