@@ -27,7 +27,7 @@ import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -89,9 +89,15 @@ class Entry:
 
 @dataclass(frozen=True)
 class Unreadable:
-    """A line that is not a record; it stays in the file, so that every audit finds it."""
+    """A line that is not a record; it stays in the file, so that every audit finds it.
+
+    Attributes:
+        line: the line.
+        number: its number in the file that was read.
+    """
 
     line: str
+    number: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -199,23 +205,23 @@ def read(path: Path) -> tuple[list[Record], int]:
         raise ValueError(f"{path.name} is larger than {MAX_BYTES} bytes")
     records: list[Record] = []
     whole = path.read_text(encoding="utf-8", errors="replace")
-    for line in _after_format(path.name, whole.splitlines()):
+    lines = whole.splitlines()
+    first = _check_format(path.name, lines)
+    for number, line in enumerate(lines[first:], start=first + 1):
         try:
             records.append(parse(line))
         except ValueError:
-            records.append(Unreadable(line))
+            records.append(Unreadable(line, number))
     torn = bool(records) and isinstance(records[-1], Unreadable) and not whole.endswith("\n")
     return records[:-1] if torn else records, int(torn)
 
 
-def _after_format(name: str, lines: list[str]) -> list[str]:
-    """Return a history's lines without the first one, which holds its format; raise ValueError for another format."""
+def _check_format(name: str, lines: list[str]) -> int:
+    """Return how many lines say the format: 1, or 0 if that line is damaged; raise ValueError for another format."""
     found = _FIRST.fullmatch(lines[0]) if lines else None
-    if found is None:
-        return lines  # a damaged line, which is found as any other
-    if int(found[1]) != FORMAT:
+    if found is not None and int(found[1]) != FORMAT:
         raise ValueError(f"{name} has format {found[1]}, and this version reads {FORMAT}")
-    return lines[1:]
+    return int(found is not None)
 
 
 class _Joined:

@@ -194,10 +194,10 @@ def _records(path: Path, found: Audit) -> list[Record]:
     found.held += len(records)
     if found.held > MOST_LINES:
         raise RunDirError(f"with {path} the histories hold {found.held:,} lines, more than {MOST_LINES:,}.")
-    for number, record in enumerate(records, start=1):
+    for record in records:
         if isinstance(record, Unreadable):
             found.damaged += 1
-            found.unexplained.append(f"line {number} of {path.name} is unreadable, and not a torn last line.")
+            found.unexplained.append(f"line {record.number} of {path.name} is unreadable, and not a torn last line.")
     return records
 
 

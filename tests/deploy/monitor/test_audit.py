@@ -142,8 +142,8 @@ def test_a_damaged_line_is_named_also_after_its_process_came_back(tmp_path, name
     """A line in the middle that nobody can read is not clean, and going on with the file does not wipe it out."""
     write(tmp_path, [("accepted", 1, 2, 10), ("missing", 3, 3, 0)], [made(2), ("acknowledged", 1, 2, 10)])
     path = tmp_path / "history" / f"{name}.jsonl"
-    assert damage(path, 1) == 3
-    said = f"line 1 of {name}.jsonl is unreadable, and not a torn last line."
+    assert damage(path, 2) == 4
+    said = f"line 2 of {name}.jsonl is unreadable, and not a torn last line."
     for _ in range(2):
         found = audit(tmp_path)
         assert (found.named(), found.clean, found.damaged, found.torn) == ([said], False, 1, 0)
