@@ -20,12 +20,13 @@ from tyro.constructors import (
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
+from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import from_toml, with_setting
 from eia_sec.common.config.maps import FrozenMap
-from eia_sec.common.config.presets import PRESETS, preset
+from eia_sec.common.config.presets import PRESETS, preset, preset_for
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
 from eia_sec.deploy.exit_codes import USAGE
@@ -80,7 +81,7 @@ def _with_entries(given: Any, parsed: Any) -> Any:
     return replace(parsed, **changes)
 
 
-def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
+def base_configuration(arguments: Sequence[str]) -> RunConfig:
     """Return the configuration of `--preset`, `--config`, `--algorithm` and `--farm-file`; other options act on it.
 
     With `--resume` and neither of the first two, it is the run directory's.
@@ -89,11 +90,14 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
         ConfigError: for a preset or an algorithm that does not exist, or a file with a mistake.
     """
     farm_file = _value_of(arguments, "--farm-file")
-    config = _named_configuration(arguments, default)
+    config = _named_configuration(arguments)
     if name := _value_of(arguments, "--env") or _value_of(arguments, "--env.name"):
         config = config.with_environment(name)
     if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
         config = config.with_algorithm(name)
+    for option in ("episodes", "steps"):
+        if value := _value_of(arguments, f"--{option}"):
+            config = with_setting(config, f"{option}={value}")
     return with_farm_file(config, Path(farm_file)) if farm_file else config
 
 
@@ -124,17 +128,24 @@ def require_env(config: RunConfig, named: str | None) -> None:
         raise UsageError(f"this run uses {config.env.name}; add --env {config.env.name} to run its code.")
 
 
-def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
+def _named_configuration(arguments: Sequence[str]) -> RunConfig:
     named, folder = _value_of(arguments, "--preset"), _value_of(arguments, "--run-dir")
+    env = _value_of(arguments, "--env") or _value_of(arguments, "--env.name")
     if "--resume" in arguments and folder and not named and not _value_of(arguments, "--config"):
         held = RunDirectory(Path(folder))
         if not (held.path.is_dir() and held.holds_run()):
-            return preset(default)
+            return preset(preset_for(env or FARM))
         config = held.configuration()
-        require_env(config, _value_of(arguments, "--env") or _value_of(arguments, "--env.name"))
+        require_env(config, env)
         return config
-    config = preset(named or default)
     path = _value_of(arguments, "--config")
+    config = _with_file(preset(named or preset_for(env or FARM)), path)
+    if named or env or config.env.name == FARM:
+        return config
+    return _with_file(preset(preset_for(config.env.name)), path)
+
+
+def _with_file(config: RunConfig, path: str | None) -> RunConfig:
     return from_toml(Path(path), config) if path else config
 
 

@@ -1,7 +1,7 @@
 """The training of a run, without communication: experience in, updates, actors out.
 
     trainer = make_trainer(config, team)                    # eia_sec.learner.trainers
-    while trainer.episodes < config.episodes:
+    while trainer.progress < 1.0:
         trainer.absorb(chunk, version)
         trainer.train(trainer.updates_due())
         actors, version = trainer.actors(), trainer.next_version()
@@ -119,6 +119,11 @@ class Trainer(ABC):
     @abstractmethod
     def largest_checkpoint(self) -> int:
         """Return the most bytes that the large tensors of a checkpoint can take."""
+
+    @property
+    def progress(self) -> float:
+        """The finished share of the run, 0 to 1."""
+        return self.config.progress(self.episodes, self.environment_steps)
 
     @property
     def changes(self) -> int:

@@ -42,6 +42,7 @@ _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
 _LONG: Final = 8
+_BUDGETS: Final = ("episodes", "steps")
 """Longest list that a message shows in full."""
 
 
@@ -233,6 +234,7 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
         base = base.with_environment(name)
     if isinstance(name := _name_in(table, "algorithm"), str):
         base = base.with_algorithm(name)
+    table = _one_budget(table)
     for section, values in table.items():
         keys = [f"{section}.{key}" for key in values] if isinstance(values, dict) else []
         if found := next(filter(None, (without_effect(base, key) for key in (*keys, section))), None):
@@ -259,6 +261,12 @@ def _name_in(table: dict[str, Any], section: str) -> Any:
     """Return the name that a table gives a section; None if it gives none."""
     found = table.get(section)
     return found.get("name") if isinstance(found, dict) else None
+
+
+def _one_budget(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the table with 0 for the other one of `episodes` and `steps` where it names one of them alone."""
+    named = [name for name in _BUDGETS if table.get(name)]
+    return {name: 0 for name in _BUDGETS} | table if len(named) == 1 else table
 
 
 def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:

@@ -8,6 +8,7 @@ each option's value in each preset.
 from typing import Final
 
 from eia_sec.common.config.ablations import ABLATIONS
+from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.files import from_toml, with_values
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import ConfigError
@@ -32,6 +33,29 @@ checkpoint_seconds = 15.0
 farms = 4
 """
 """A short run that uses every process and ends within a minute or two on two cores."""
+
+GENERIC: Final = """
+steps = 1_000_000
+[algorithm]
+discount = 0.99
+actor_rate = 5e-4
+reward_scale = 1.0
+gradient_clip = 1.0
+iteration_steps = 2000
+minibatch_steps = 500
+epochs = 10
+entropy_start = 0.01
+entropy_end = 0.001
+time_limit = "bootstrap"
+precision = "float32"
+normalise_observations = true
+normalise_returns = true
+[rollout]
+environments = 8
+chunk_steps = 125
+train_farms = 1000
+"""
+"""Every environment but the farm where no preset is named: small iterations, measured scales, a budget in steps."""
 
 PLANS: Final = """
 [farm.control]
@@ -255,6 +279,7 @@ _PLANS: Final = from_toml(PLANS, _DEFAULT)
 PRESETS: Final[dict[str, RunConfig]] = {
     "default": _DEFAULT,
     "quick": from_toml(QUICK, _DEFAULT),
+    "generic": from_toml(GENERIC, RunConfig()),
     "long": from_toml(LONG, _PLANS),
     "connected": from_toml(CONNECTED, RunConfig()),
     "failing": from_toml(FAILING, _PLANS),
@@ -267,6 +292,11 @@ PRESETS: Final[dict[str, RunConfig]] = {
     **{name: with_values(_EIA_SEC, changes) for name, changes in ABLATIONS.items()},
 }
 """Every preset by name; those of `eia_sec.common.config.ablations` are `eia-sec` with a part switched off."""
+
+
+def preset_for(environment: str) -> str:
+    """Return the name of the preset with which an environment is trained where nobody names one."""
+    return "default" if environment == FARM else "generic"
 
 
 def preset(name: str) -> RunConfig:

@@ -111,7 +111,10 @@ class RunConfig:
     seed: int = 0
     """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""
     episodes: int = 12_000
-    """Training episodes lambda_max, in total over all environments of all workers."""
+    """Training episodes lambda_max, in total over all environments of all workers; 0 where `steps` end the run."""
+    steps: int = 0
+    """Training steps of the environment, in total over all environments of all workers; 0 where `episodes` end the run.
+    With both, the run ends with the first that is reached."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
     algorithm: AlgorithmConfig = field(default_factory=IppoConfig)
@@ -125,7 +128,10 @@ class RunConfig:
     def __post_init__(self) -> None:
         """Refuse an empty run and sections that contradict each other."""
         within(0, 2**63 - 1, seed=self.seed)
-        within(1, 100_000_000, episodes=self.episodes)
+        within(0, 100_000_000, episodes=self.episodes)
+        within(0, 10**12, steps=self.steps)
+        if not (self.episodes or self.steps):
+            raise ConfigError("episodes and steps are both 0, and one of them ends the run.")
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
         for section in self.unused_sections:
@@ -146,6 +152,16 @@ class RunConfig:
                 f"replay.capacity {self.replay.capacity} holds no batch of {batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
+
+    def progress(self, episodes: int, steps: int) -> float:
+        """Return the finished share of the run, 0 to 1.
+
+        Args:
+            episodes: training episodes finished.
+            steps: environment steps that the learner has accepted.
+        """
+        shares = ((episodes, self.episodes), (steps, self.steps))
+        return max(min(1.0, done / total) for done, total in shares if total)
 
     def with_algorithm(self, name: str) -> "RunConfig":
         """Return the run with another algorithm, see `switched`; sections that it does not read get their defaults.
@@ -187,7 +203,7 @@ class RunConfig:
         """Return the exploration noise of off-policy algorithms; those that learn on policy sample without any.
 
         Args:
-            progress: share of the run's episodes that are finished.
+            progress: finished share of the run.
             environment_steps: environment steps that the learner has accepted.
 
         Returns:

@@ -62,7 +62,9 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
     "learner": (
         _STATE,
         Metric("episodes", "episodes", "training episodes finished"),
-        Metric("episodes_total", "episodes", "training episodes of the whole run, lambda_max"),
+        Metric("episodes_total", "episodes", "training episodes of the whole run, lambda_max; 0 where steps end it"),
+        Metric("steps_total", _STEPS, "training steps of the whole run; 0 where episodes end it"),
+        Metric("progress", "", "finished share of the run, 0 to 1"),
         Metric("environment_steps", _STEPS, "steps added to replay"),
         Metric("updates", "updates", "gradient updates done"),
         Metric("version", "", "parameter version; grows with every publication"),

@@ -16,6 +16,7 @@ from types import UnionType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from eia_sec.common.config import RunConfig
+from eia_sec.common.config.environment import FARM
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.names import check_name
@@ -42,8 +43,8 @@ T = TypeVar("T")
 class Training:
     """The learner's configuration."""
 
-    preset: str = "default"
-    """The preset that other values override."""
+    preset: str = ""
+    """The preset that other values override. Default: `default` for the farm, `generic` for other environments."""
     config: str = ""
     """TOML file whose values override the preset's; relative to the fleet file, like every path here."""
     farm_file: str = ""
@@ -303,10 +304,12 @@ def _network(network: Network) -> Network:
 
 def _configuration(fleet: FleetSpec) -> RunConfig:
     training = fleet.training
-    arguments = ["--preset", training.preset]
+    arguments = ["--preset", training.preset] if training.preset else []
     arguments += ["--config", str(fleet.folder / training.config)] if training.config else []
     arguments += ["--farm-file", str(fleet.folder / training.farm_file)] if training.farm_file else []
     config = with_settings(base_configuration(arguments), training.set)
+    if not training.preset and config.env.name != FARM:  # the name may stand in `set`, which no preset knows
+        config = with_settings(base_configuration([*arguments, "--env", config.env.name]), training.set)
     farm = farm_of(config)
     if farm is not None:  # another environment may exist on the learner's host only, where it is checked
         require_frames(config, farm_environment(farm))

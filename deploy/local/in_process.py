@@ -25,7 +25,7 @@ WORKER = "0"
 def train_in_process(
     config: RunConfig, watch: Callable[[Trainer, Chunk], None] = lambda trainer, chunk: None
 ) -> Trainer:
-    """Train until the run's episodes are done, on one core.
+    """Train to the end of the run, on one core.
 
     Args:
         config: the run.
@@ -46,7 +46,7 @@ def _train(config: RunConfig, collector: Collector, watch: Callable[[Trainer, Ch
     schedule = ImitationSchedule.of(config)
     version, published = trainer.next_version(), trainer.changes
     actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
-    while trainer.episodes < config.episodes:
+    while trainer.progress < 1.0:
         chunk = collector.collect(actors, *config.exploration_at(progress, seen_steps))
         chunks += 1
         trainer.absorb(chunk, version, WORKER, chunks)
@@ -61,6 +61,6 @@ def _train(config: RunConfig, collector: Collector, watch: Callable[[Trainer, Ch
             trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
             version, published = trainer.next_version(), trainer.changes
         actors, seen_steps = trainer.actors(), trainer.environment_steps
-        progress = min(1.0, trainer.episodes / config.episodes)
+        progress = trainer.progress
         watch(trainer, chunk)
     return trainer

@@ -219,7 +219,7 @@ class RunDirectory:
         found = differences(method_of(held), method_of(wanted)) if resume else differences(held, wanted)
         if found:
             more = f" and {len(found) - 3} more" if len(found) > 3 else ""
-            longer = resume and held.episodes != wanted.episodes
+            longer = resume and (held.episodes, held.steps) != (wanted.episodes, wanted.steps)
             hint = f" (a run cannot be lengthened; begin another one as its policy: {self._start})" if longer else ""
             raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}{hint}.")
 

@@ -54,12 +54,12 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
 
 def summary(snapshot: Snapshot) -> str:
     """Return a summary in one line of plain text."""
-    if not snapshot.episodes_total:
+    if not (snapshot.episodes_total or snapshot.steps_total):
         waiting = f"{snapshot.state}: no report from the learner yet"
         return "; ".join(filter(None, (waiting, _alarm_count(len(snapshot.alarms)))))
     rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
     parts = [
-        f"{snapshot.state}: episode {snapshot.episodes:,} of {snapshot.episodes_total:,}",
+        f"{snapshot.state}: {_budget(snapshot)}",
         f"reward {rewards}" if rewards else "",
         f"{number(snapshot.steps_rate)} steps/s",
         f"{number(snapshot.updates_rate)} updates/s",
@@ -67,6 +67,13 @@ def summary(snapshot: Snapshot) -> str:
         _alarm_count(len(snapshot.alarms)),
     ]
     return "; ".join(part for part in parts if part)
+
+
+def _budget(snapshot: Snapshot) -> str:
+    """Return how much of the run is done, in what ends it."""
+    if snapshot.steps_total and not snapshot.episodes_total:
+        return f"{snapshot.steps:,} of {snapshot.steps_total:,} steps"
+    return f"{snapshot.episodes:,} of {snapshot.episodes_total:,} episodes"
 
 
 def _beside(left: RenderableType, right: RenderableType, shares: tuple[int, int]) -> Table:
@@ -84,13 +91,12 @@ def _header(snapshot: Snapshot) -> RenderableType:
         (snapshot.state, _STATE_STYLES.get(snapshot.state, "yellow")),
     )
     times = f"{duration(snapshot.elapsed)} elapsed, {duration(snapshot.left)} left"
-    bar = ProgressBar(total=max(1, snapshot.episodes_total), completed=snapshot.episodes)
-    count = Text.assemble((f"{snapshot.episodes:,}", "bold"), f" of {snapshot.episodes_total:,} episodes")
+    bar = ProgressBar(total=1.0, completed=min(1.0, snapshot.progress))
     grid = Table.grid(expand=True, padding=(0, 1))
     grid.add_column(ratio=1, no_wrap=True)
     grid.add_column(justify="right", no_wrap=True)
     grid.add_row(title, times)
-    grid.add_row(bar, count)
+    grid.add_row(bar, _budget(snapshot))
     return grid
 
 

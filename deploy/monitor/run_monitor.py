@@ -130,7 +130,7 @@ class RunMonitor:
     def _snapshot(self, alarms: tuple[str, ...]) -> Snapshot:
         values = self.learner_values()
         elapsed = float(values.get("elapsed", 0.0))
-        episodes, total = int(values.get("episodes", 0)), int(values.get("episodes_total", 0))
+        progress = float(values.get("progress", 0.0))
         ledgers, learner = values.get("ledgers", {}), self._of(LEARNER)
         rows = tuple(self._row(name, seen, values, ledgers) for name, seen in sorted(self._reports.items()))
         before = sorted(name for name in ledgers if name != OTHERS and ("rollout", name) not in self._reports)
@@ -139,7 +139,7 @@ class RunMonitor:
             ProcessRow("rollout", name, "-", 0, 0.0, alive=False, ledger=ledger_of(ledgers[name]), left=True)
             for name in before[:room]
         )
-        over = values.get("state") in ("draining", "finished") or 0 < total <= episodes
+        over = values.get("state") in ("draining", "finished") or progress >= 1.0
         rows, complaints = examine(rows, training=values.get("state") == "training" and not over, over=over)
         if orphaned := _lacks_learner(rows):
             complaints.append("no learner is there, and workers hold the parameters of one.")
@@ -147,9 +147,11 @@ class RunMonitor:
             run=self._run,
             state=str(values.get("state", "without learner" if orphaned else "starting")),
             elapsed=elapsed,
-            left=elapsed * (total - episodes) / episodes if episodes else None,
-            episodes=episodes,
-            episodes_total=total,
+            left=elapsed * (1.0 - progress) / progress if progress > 0.0 else None,
+            episodes=int(values.get("episodes", 0)),
+            episodes_total=int(values.get("episodes_total", 0)),
+            steps_total=int(values.get("steps_total", 0)),
+            progress=progress,
             reward=tuple(
                 Series(type_label(values, kind), tuple(points), _digits(points))
                 for kind, points in self._rewards.items()

@@ -20,7 +20,18 @@ NESTED: Final = 64
 NUMBERS: Final = frozenset(
     (
         *("decisions", "elapsed", "environment_steps", "episodes", "episodes_total", "event", "lag_versions", "queue"),
-        *("spooled", "updates", "version", "waiting_seconds", "produced", "accepted", "rejected", "in_flight"),
+        *(
+            "spooled",
+            "updates",
+            "version",
+            "waiting_seconds",
+            "steps_total",
+            "progress",
+            "produced",
+            "accepted",
+            "rejected",
+            "in_flight",
+        ),
     )
 )
 """Metrics that are added up, subtracted or drawn, and so must be numbers."""

@@ -150,7 +150,9 @@ class Snapshot:
         elapsed: seconds since the start.
         left: estimated seconds to the end.
         episodes: training episodes finished.
-        episodes_total: training episodes of the whole run, lambda_max.
+        episodes_total: training episodes of the whole run, lambda_max; 0 where steps end it.
+        steps_total: training steps of the whole run; 0 where episodes end it.
+        progress: finished share of the run, 0..1.
         reward: mean reward per agent, first over all agents, then for each type.
         freshness: AoI and VDF, units, or the length of episodes where there are none.
         steps: environment steps accepted.
@@ -173,6 +175,8 @@ class Snapshot:
     left: float | None = None
     episodes: int = 0
     episodes_total: int = 0
+    steps_total: int = 0
+    progress: float = 0.0
     reward: tuple[Series, ...] = ()
     freshness: tuple[Series, ...] = ()
     steps: int = 0

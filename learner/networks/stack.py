@@ -38,6 +38,7 @@ class Stack(nn.Module):
 
     Attributes:
         count: S.
+        inputs: numbers in an input.
         size: P.
         flat: all parameters [S, P], as wide as `place`.
     """
@@ -46,7 +47,7 @@ class Stack(nn.Module):
 
     def __init__(self, count: int, inputs: int, hidden: int, outputs: int, place: Tensor | None = None) -> None:
         super().__init__()
-        self.count = count
+        self.count, self.inputs = count, inputs
         self._shapes = layer_shapes(inputs, hidden, outputs, self.memory)
         self._lengths = [math.prod(shape) for shape in self._shapes]
         self.size = sum(self._lengths)
@@ -135,6 +136,25 @@ class Stack(nn.Module):
     def export(self) -> Float32:
         """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`."""
         return self.flat.detach()[:, : self.size].cpu().numpy().copy()
+
+    @torch.no_grad()
+    def rescale_inputs(self, shift: Tensor, scale: Tensor) -> None:
+        """Change first layers W1 [S, i, h] and b1 [S, h], so that networks read x as they have read `shift + scale x`.
+
+        Args:
+            shift: [inputs].
+            scale: [inputs].
+        """
+        weight, bias = self.layers[:2]
+        bias += torch.einsum("i,sih->sh", shift, weight)
+        weight *= scale[:, None]
+
+    @torch.no_grad()
+    def rescale_outputs(self, shift: float, scale: float) -> None:
+        """Change last layers W3 and b3, so that networks return `shift + scale y` in place of y."""
+        weight, bias = self.layers[-2:]
+        weight *= scale
+        bias.mul_(scale).add_(shift)
 
     @torch.no_grad()
     def load(self, flat: Float32) -> None:

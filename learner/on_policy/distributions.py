@@ -1,13 +1,19 @@
 """Log-probability and entropy of actions, with gradients; `common.actions.sampling` samples from the same policies."""
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from eia_sec.common.actions.sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
 from eia_sec.common.actors import LOG_STD_RANGE
 from eia_sec.common.team import GroupSpec
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+QUADRATURE: Final = (_NODES.tolist(), (_WEIGHTS / _WEIGHTS.sum()).tolist())
+"""Where a standard normal variable is evaluated, and with which weights, to integrate over it."""
 
 
 class Evaluated(NamedTuple):
@@ -15,7 +21,7 @@ class Evaluated(NamedTuple):
 
     Attributes:
         log_probability: log pi(a | o) [B, n].
-        entropy: entropy of the policy at o [B, n], nats; of a squashed Gaussian that before the tanh.
+        entropy: entropy of the policy at o [B, n], nats.
     """
 
     log_probability: Tensor
@@ -56,4 +62,10 @@ def _squashed_gaussian(outputs: Tensor, action: Tensor) -> Evaluated:
     mean, log_std = outputs[..., :size], outputs[..., size:].clamp(*LOG_STD_RANGE)
     score = (torch.atanh(action.clamp(-LARGEST_ACTION, LARGEST_ACTION)) - mean) * torch.exp(-log_std)
     log_probability = (-0.5 * score.square() - log_std - HALF_LOG_TAU).sum(dim=-1)
-    return Evaluated(log_probability, (log_std + 0.5 + HALF_LOG_TAU).sum(dim=-1))
+    # H(tanh u) = H(u) + E[ln(1 - tanh(u)^2)], by Gauss-Hermite quadrature over u. Without the second part entropy could
+    # grow for ever by widening a Gaussian whose samples the tanh already pushes to the ends.
+    nodes, weights = (outputs.new_tensor(part) for part in QUADRATURE)
+    u = mean[..., None] + torch.exp(log_std)[..., None] * nodes
+    slope = 2.0 * (math.log(2.0) - u - nn.functional.softplus(-2.0 * u))
+    entropy = log_std + 0.5 + HALF_LOG_TAU + (slope * weights).sum(dim=-1)
+    return Evaluated(log_probability, entropy.sum(dim=-1))

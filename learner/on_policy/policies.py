@@ -1,6 +1,7 @@
 """The actors of all types."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 
 from torch import Tensor, nn
 
@@ -11,6 +12,7 @@ from eia_sec.learner.networks.recurrent import make_stack
 from eia_sec.learner.networks.sequences import Sequences
 from eia_sec.learner.networks.stack import Stack
 from eia_sec.learner.on_policy.distributions import Evaluated, evaluate
+from eia_sec.learner.on_policy.normalisation import Scales
 from eia_sec.learner.on_policy.preferences import FOLLOW, prefer
 
 HEAD: Head = "gaussian"
@@ -29,6 +31,7 @@ class Policies(nn.Module):
 
     Attributes:
         stacks: the networks of each type.
+        scales: what their inputs are scaled by; None where they read observations as they are.
     """
 
     def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int) -> None:
@@ -36,6 +39,7 @@ class Policies(nn.Module):
         self._config, self._team = config, team
         self.stacks = [self._stack(group, seed) for group in team.groups]
         self.types = nn.ModuleList(self.stacks)
+        self.scales: Scales | None = None
 
     def _stack(self, group: GroupSpec, seed: int) -> Stack:
         config = self._config
@@ -57,14 +61,28 @@ class Policies(nn.Module):
         return evaluate(self._team.groups[kind], observation, self.stacks[kind](observation, sequences), action)
 
     def actors(self) -> TeamActors:
-        """Return a copy of all actors."""
-        flat = tuple(stack.export() for stack in self.stacks)
+        """Return a copy of all actors, which read observations as they are."""
+        flat = tuple(self._unscaled(stack, kind).export() for kind, stack in enumerate(self.stacks))
         return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory)
 
     def load(self, flat: Sequence[Float32]) -> None:
-        """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
-        for stack, parameters in zip(self.stacks, flat, strict=True):
+        """Replace the actors' parameters by those of actors as `actors` returns them, [n_v or 1, P_v] for each type."""
+        for kind, (stack, parameters) in enumerate(zip(self.stacks, flat, strict=True)):
             stack.load(parameters)
+            if self.scales is not None:
+                shift, scale = self.scales.of_type(kind)
+                stack.rescale_inputs(shift, scale)
+        if self.scales is not None and self.scales.fresh:
+            self.scales.loaded.fill_(1.0)
+
+    def _unscaled(self, stack: Stack, kind: int) -> Stack:
+        """Return a type's networks as those that read observations as they are."""
+        if self.scales is None:
+            return stack
+        shift, scale = self.scales.of_type(kind)
+        found = deepcopy(stack)
+        found.rescale_inputs(-shift / scale, 1.0 / scale)
+        return found
 
 
 def initialisation_names(

@@ -30,6 +30,7 @@ from eia_sec.learner.checkpoint.trainer_state import (
 )
 from eia_sec.learner.intake.limits import DRAINED_CHUNKS
 from eia_sec.learner.on_policy.experience import Experience
+from eia_sec.learner.on_policy.normalisation import require_scales
 from eia_sec.learner.on_policy.updates import Updates, require_one_count
 from eia_sec.learner.trainer import Trainer, flushed_denormals
 
@@ -120,7 +121,7 @@ class OnPolicyTrainer(Trainer):
             self._updates.begin(self.experience.rows(), self.environment_steps - self.following.steps)
             self._epochs_left = self._algorithm.epochs
             self._shuffle()
-        self._updates.update(self._pending.pop(), min(1.0, self.episodes / self.config.episodes))
+        self._updates.update(self._pending.pop(), self.progress)
         self.updates += 1
         if self._pending:
             return
@@ -180,6 +181,7 @@ class OnPolicyTrainer(Trainer):
         found = checked_tensors(own, tensors)
         require_moments(found)
         require_one_count(found)
+        require_scales(found)
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")
         experience, following = (

@@ -36,9 +36,10 @@ from eia_sec.learner.networks.stack import Stack
 from eia_sec.learner.on_policy.advantages import advantages
 from eia_sec.learner.on_policy.captured_updates import CapturedUpdates
 from eia_sec.learner.on_policy.diagnostics import IterationDiagnostics
-from eia_sec.learner.on_policy.experience import Observations, split_actions, step_rows
+from eia_sec.learner.on_policy.experience import Observations, split, split_actions, step_rows
 from eia_sec.learner.on_policy.iteration_states import IterationStates
 from eia_sec.learner.on_policy.minibatch import Minibatch
+from eia_sec.learner.on_policy.normalisation import Scales
 from eia_sec.learner.registry import ON_POLICY
 
 VALUE_BATCH = 4096
@@ -86,6 +87,9 @@ class Updates:
         captures = device != "cpu" and config.memory == "none"
         self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
+        self._scales = Scales(team, device)
+        if config.normalise_observations:
+            self.policies.scales = self._scales
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
         gamma = config.discounts
         self._discount = np.concatenate(
@@ -105,18 +109,58 @@ class Updates:
         """
         config, device = self._config, self._device
         self.stopped = [steps <= config.value_steps] * len(self._team.groups)
+        if config.normalise_observations:
+            self._take_in_observations(rows)
         self._load(rows)
         states, team = self._states, self._seen.team
         value = self._all_values() if states is None else states.begin(self.policies, team)
+        for scale, (_, agents) in zip(self._scales.returns, self._groups, strict=True):
+            mean, deviation = scale.shift_and_scale()
+            value[:, agents] = mean + deviation * value[:, agents]
         reward = rows.reward * np.float32(config.reward_scale)
         ends = config.time_limit == "terminal"
         gain = advantages(reward, value, rows.flag, self._discount, config.gae_lambda, time_limit_ends=ends)
         used = step_rows(rows)
-        self._rows["returns"] = torch.from_numpy(gain + value).to(device)
+        returns = gain + value
+        if config.normalise_returns:
+            self._take_in_returns(returns, used)
+        self._rows["returns"] = torch.from_numpy(self._as_learnt(returns)).to(device)
         self._rows["advantage"] = torch.from_numpy(self._normalised(gain, used)).to(device)
         if config.objective == "decoupled":
             self._decouple(rows)
-        self.diagnostics.begin(value[used], (gain + value)[used])
+        self.diagnostics.begin(value[used], returns[used])
+
+    def _take_in_observations(self, rows: Rows) -> None:
+        """Update what observations are scaled by; networks that have learnt keep their function."""
+        scales, kinds = self._scales, range(len(self._groups))
+        fresh, before = scales.fresh, [scales.of_type(kind) for kind in kinds]
+        team_before = scales.of_team()
+        for kind, own in enumerate(split(self._team, as_tensor(rows.observation))):
+            scales.observations[kind].add(own.flatten(0, 1))
+        for kind in kinds:
+            if not fresh or float(scales.loaded):
+                self.policies.stacks[kind].rescale_inputs(*_moved(before[kind], scales.of_type(kind)))
+            for stack in () if fresh else _stacks(self.values[kind]):
+                sees_own = stack.inputs == self._groups[kind][0].observation_size
+                pair = (before[kind], scales.of_type(kind)) if sees_own else (team_before, scales.of_team())
+                stack.rescale_inputs(*_moved(*pair))
+
+    def _take_in_returns(self, returns: Float32, used: NDArray[np.int64]) -> None:
+        """Update what returns are scaled by; value functions that have learnt keep theirs."""
+        for scale, value, (_, agents) in zip(self._scales.returns, self.values, self._groups, strict=True):
+            fresh, (mean, deviation) = scale.fresh, scale.shift_and_scale()
+            scale.add(torch.from_numpy(returns[used, agents]))
+            new_mean, new_deviation = scale.shift_and_scale()
+            for stack in () if fresh else _stacks(value):
+                stack.rescale_outputs((mean - new_mean) / new_deviation, deviation / new_deviation)
+
+    def _as_learnt(self, returns: Float32) -> Float32:
+        """Return the returns [R, agents] as value functions learn them."""
+        found = returns.copy()
+        for scale, (_, agents) in zip(self._scales.returns, self._groups, strict=True):
+            mean, deviation = scale.shift_and_scale()
+            found[:, agents] = (returns[:, agents] - mean) / deviation
+        return found
 
     @torch.no_grad()
     def _decouple(self, rows: Rows) -> None:
@@ -149,6 +193,9 @@ class Updates:
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
         whole = self._config.sees_team or self._config.memory != "none"
         observation = as_tensor(rows.observation).to(self._device)
+        if self._config.normalise_observations:
+            shift, scale = self._scales.of_team()
+            observation = (observation - shift) / scale
         self._seen = Observations.of(self._team, observation, self._dtype, self._side_by_side, whole=whole)
         if self._config.memory != "none":
             self._states = IterationStates(self._config, self._team, rows, self.values, self._device)
@@ -247,6 +294,8 @@ class Updates:
 
         Writing to them restores a state. Adam counts the steps of a whole stack; the count stands beside each layer.
         """
+        if self._config.normalise_observations or self._config.normalise_returns:
+            yield from ((f"scales.{name}", tensor) for name, tensor in self._scales.named_tensors())
         for owner, module in self._all_networks:
             for name, stack in module.named_modules():
                 if isinstance(stack, Stack):
@@ -294,6 +343,16 @@ class Updates:
         """Forget the iteration's rows, and which actors have stopped in it."""
         self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
+
+
+def _stacks(networks: nn.Module) -> list[Stack]:
+    return [module for module in networks.modules() if isinstance(module, Stack)]
+
+
+def _moved(before: tuple[Tensor, Tensor], after: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Return shift and scale of what was read with `before`'s, as what is read with `after`'s."""
+    (shift, scale), (new_shift, new_scale) = before, after
+    return (new_shift - shift) / scale, new_scale / scale
 
 
 def require_one_count(found: Mapping[str, Tensor]) -> None:

@@ -1,6 +1,5 @@
 """Publishes the learner's parameters and its progress."""
 
-from eia_sec.common.config import RunConfig
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
 from eia_sec.common.transport.bus import Bus
@@ -14,14 +13,13 @@ class ParameterPublisher:
         bus: the control lane.
         run: the run's name.
         epoch: the learner's fencing epoch.
-        config: the run.
         trainer: what is published.
     """
 
-    def __init__(self, bus: Bus, run: str, epoch: int, config: RunConfig, trainer: Trainer) -> None:
+    def __init__(self, bus: Bus, run: str, epoch: int, trainer: Trainer) -> None:
         self._parameters = bus.publish_state(keys.PARAMETERS.key(run))
         self._progress = bus.publish_state(keys.PROGRESS.key(run))
-        self._epoch, self._episodes, self._trainer = epoch, config.episodes, trainer
+        self._epoch, self._trainer = epoch, trainer
         self._published = -1
 
     @property
@@ -39,7 +37,7 @@ class ParameterPublisher:
             version=trainer.version,
             event=trainer.events,
             environment_steps=trainer.environment_steps,
-            progress=min(1.0, trainer.episodes / self._episodes),
+            progress=trainer.progress,
             team=actors.team.digest,
             hidden=actors.hidden,
             head=actors.head,

@@ -42,10 +42,9 @@ class Reporter:
         environment: EnvironmentSpec,
         trainer: Trainer,
         presence: Presence,
-        episodes: int,
         elapsed: float = 0.0,
     ) -> None:
-        self._team, self._trainer, self._presence, self._episodes = environment.team, trainer, presence, episodes
+        self._team, self._trainer, self._presence = environment.team, trainer, presence
         self._labels = environment.labels()
         descriptions = {f"curves/{m.name}": f"{m.meaning}, {m.unit}" for m in environment.episode_metrics}
         self._log, self._tensorboard = MetricsLog(directory, elapsed), TensorBoardWriter(directory, descriptions)
@@ -98,7 +97,9 @@ class Reporter:
         metrics: dict[str, Any] = {
             "state": state,
             "episodes": t.episodes,
-            "episodes_total": self._episodes,
+            "episodes_total": t.config.episodes,
+            "steps_total": t.config.steps,
+            "progress": t.progress,
             "environment_steps": t.environment_steps,
             "updates": t.updates,
             "version": t.version,

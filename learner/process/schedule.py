@@ -21,6 +21,10 @@ class Counters(Protocol):
     episodes: int
     events: int
 
+    @property
+    def progress(self) -> float:
+        """The finished share of the run, 0 to 1."""
+
     def updates_due(self) -> int:
         """Return how many updates are due."""
 
@@ -70,7 +74,7 @@ class Schedule:
 
     def __init__(self, config: RunConfig, *, await_elite: bool = False, now: float | None = None) -> None:
         now = monotonic() if now is None else now
-        self._episodes, self._await_elite = config.episodes, await_elite
+        self._await_elite = await_elite
         self._imitation = ImitationSchedule.of(config)
         self.publish_timer = Periodic(config.learner.publish_seconds, now)
         self.progress_timer = Periodic(PROGRESS_SECONDS, now)
@@ -79,8 +83,8 @@ class Schedule:
         self.deadline = EventDeadline(self._imitation)
 
     def finished(self, counters: Counters) -> bool:
-        """Return whether all episodes are finished and no update is due."""
-        return counters.episodes >= self._episodes and counters.updates_due() <= 0
+        """Return whether the run has all its experience and no update is due."""
+        return counters.progress >= 1.0 and counters.updates_due() <= 0
 
     def updates(self, counters: Counters) -> int:
         """Return how many updates to do before the next poll for incoming messages."""
@@ -88,7 +92,7 @@ class Schedule:
 
     def takes_in(self, counters: Counters, *, awaits_event: bool) -> bool:
         """Return whether another chunk may enter replay before the next update."""
-        return counters.episodes < self._episodes and not (counters.leads() or awaits_event)
+        return counters.progress < 1.0 and not (counters.leads() or awaits_event)
 
     def awaits_event(self, counters: Counters, *, has_coordinator: bool, now: float) -> bool:
         """Return whether new experience waits for a late imitation event (free-running)."""

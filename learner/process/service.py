@@ -80,7 +80,7 @@ class Learner:
         self._window = NO_LIMIT
         self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
-        self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, config.episodes, elapsed)
+        self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, elapsed)
         self._open_bulk(config, environment, bulk, ledger)
         self._reporter.add(self._feed.metrics, self._feed.alarms)
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
@@ -95,12 +95,13 @@ class Learner:
         self._log_begin()
 
     def _log_begin(self) -> None:
-        trainer, done = self.trainer, f"{self.trainer.episodes} of {self._config.episodes} episodes"
+        trainer = self.trainer
         if self._options.resume:
             self._reporter.log_resume()
         resumed = self._options.resume and trainer.environment_steps > 0
         how = "resumed from a checkpoint" if resumed else "begun"
-        log(f"run {self._options.run} is {how}: {done}, {trainer.environment_steps} steps, {trainer.updates} updates.")
+        counts = f"{trainer.episodes} episodes, {trainer.environment_steps} steps, {trainer.updates} updates"
+        log(f"run {self._options.run} is {how}: {counts}.")
 
     def _restore(self) -> tuple[Ledger, float]:
         """Resume from the newest checkpoint if requested; return the ledger and the seconds that the run has taken."""
@@ -115,7 +116,7 @@ class Learner:
 
     def _open_control(self, config: RunConfig, team: TeamSpec, control: Bus, ledger: Ledger) -> None:
         run, lockstep = self._options.run, self._options.lockstep
-        self._publisher = ParameterPublisher(control, run, self._epoch, config, self.trainer)
+        self._publisher = ParameterPublisher(control, run, self._epoch, self.trainer)
         self._successor = SuccessorWatch(control, run, self._epoch)
         configuration = ConfigurationMessage(self._epoch, to_toml(config), team.to_dict(), lockstep)
         commands = control.serve(keys.COMMAND.pattern(run), 64)

@@ -35,7 +35,8 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--preset", "huge"], "no preset 'huge'"),
         (["train", "--sead", "1"], "--seed"),
         (["train", "--seed", "x"], "--seed"),
-        (["train", "--episodes", "0"], "episodes must be"),
+        (["train", "--episodes", "0"], "episodes and steps are both 0"),
+        (["train", "--steps", "-1"], "steps must be"),
         (["train", "--farm.world.sensors", "0"], "sensors must be"),
         (["train", "--algorithm.epochs", "-3"], "epochs must be"),
         (["train", "--workers", "0"], "workers must be"),
@@ -274,3 +275,17 @@ def test_another_log_format_is_refused(words: list[str]) -> None:
     """It is one of two."""
     with pytest.raises(UsageError, match="text or json"):
         without_log_format(["train", *words])
+
+
+def test_environments_but_the_farm_have_a_preset_of_their_own(tmp_path: Path) -> None:
+    """Where no preset is named, it follows from the environment, by the command line or by a file."""
+    path = tmp_path / "run.toml"
+    path.write_text('[env]\nname = "toy_env:Relay"\n[algorithm]\nhidden = 16\n')
+    generic = PRESETS["generic"]
+    for arguments in (["--env", "toy_env:Relay"], ["--env.name=toy_env:Relay"], ["--config", str(path)]):
+        found = base_configuration(arguments)
+        assert (found.steps, found.rollout) == (generic.steps, generic.rollout)
+    assert base_configuration(["--env", "toy_env:Relay", "--preset", "quick"]) == PRESETS["quick"]
+    assert base_configuration(["--env", "farm"]) == base_configuration([]) == RunConfig()
+    given = base_configuration(["--env", "toy_env:Relay", "--episodes", "30"])
+    assert (given.episodes, given.steps) == (30, 0)

@@ -78,6 +78,10 @@ class OnPolicyConfig(AlgorithmConfig):
     1; others have 0 (ours)."""
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
+    normalise_observations: bool = False
+    """Whether networks read each number of a type's observations minus its running mean, over its running deviation."""
+    normalise_returns: bool = False
+    """Whether value functions learn a type's returns minus their mean, over their deviation, both running (PopArt)."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     """Precision of observations in rows, and of products in updates if the device has instructions for bfloat16.
     Parameters, sums and what the networks return are float32 in any case."""

@@ -40,7 +40,7 @@ class LearnerArguments:
     """Take transitions through shared memory from workers on this machine that do the same."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
-    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = ""
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None

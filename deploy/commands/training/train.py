@@ -12,6 +12,7 @@ from rich.live import Live
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
+from eia_sec.common.config.presets import preset_for
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
 from eia_sec.common.process import StopSignal
@@ -47,7 +48,7 @@ LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operat
 class TrainArguments:
     """Train on this machine: learner, elite coordinator and workers run as separate processes over loopback."""
 
-    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[str, tyro.conf.arg(help=PRESET_HELP)] = ""
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None
@@ -91,11 +92,14 @@ def command(arguments: Sequence[str]) -> int:
     endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{options.preset}-{stamp}"))
+    chosen = options.preset or preset_for(options.settings.env.name)
+    directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{chosen}-{stamp}"))
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
     directory.adopt(options.settings, team)
     console = Console(file=patient_output())
+    if not (options.preset or options.resume):
+        console.print(f"preset: {chosen}; another one: --preset NAME", highlight=False, markup=False)
     if start:
         console.print(start_sentence(options.settings, team, start), highlight=False, markup=False)
     if too_short := shortage(options.settings, environment):
@@ -116,7 +120,8 @@ def command(arguments: Sequence[str]) -> int:
 
 def shortage(config: RunConfig, environment: EnvironmentSpec) -> str:
     """Return a sentence about a run that ends before its first update, or an empty string."""
-    most = config.episodes * environment.episode_steps[1]
+    limits = (config.episodes * environment.episode_steps[1], config.steps)
+    most = min(limit for limit in limits if limit)
     if config.learns_on_policy:
         needed, option = config.on_policy.iteration_steps, "algorithm.iteration_steps"
     else:
@@ -124,8 +129,8 @@ def shortage(config: RunConfig, environment: EnvironmentSpec) -> str:
     if most >= needed:
         return ""
     return (
-        f"this run will learn nothing: its {config.episodes:,} episodes have at most {most:,} steps together, and the "
-        f"first update needs {needed:,}; raise episodes or lower {option}."
+        f"this run will learn nothing: it has at most {most:,} steps, and the first update needs {needed:,}; raise "
+        f"{'episodes' if config.episodes else 'steps'} or lower {option}."
     )
 
 

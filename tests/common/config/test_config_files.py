@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 
 from eia_sec.common.config import EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RewardConfig, RunConfig, WorldConfig
 from eia_sec.common.config.farm.sites import MAX_SENSORS
-from eia_sec.common.config.files import differences, digest, flatten, from_toml, read_saved, to_toml, with_setting
+from eia_sec.common.config.files import (
+    differences,
+    digest,
+    flatten,
+    from_toml,
+    read_saved,
+    to_toml,
+    with_setting,
+    with_values,
+)
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.protocol.frame import MAX_HEADER
@@ -268,7 +277,9 @@ def test_digest_depends_on_every_key(key, name):
             break
     assert digest(changed) != digest(base)
     found = [line.split(":")[0] for line in differences(base, changed)]
-    assert found == [key] or key == found[0] in ("algorithm.name", "env.name")
+    assert (
+        found == [key] or key == found[0] in ("algorithm.name", "env.name") or (key, found[0]) == ("steps", "episodes")
+    )
 
 
 def test_entries_of_a_map_are_merged_by_key():
@@ -309,6 +320,21 @@ def test_names_with_dots_are_keys_in_quotes():
     config = dataclasses.replace(RunConfig(), algorithm=IppoConfig(discounts={"walker.1": 0.5}))
     assert '[algorithm.discounts]\n"walker.1" = 0.5' in to_toml(config)
     assert from_toml(to_toml(config), RunConfig()) == read_saved(to_toml(config)) == config
+
+
+def test_a_budget_takes_the_place_of_the_other():
+    """Whoever names one budget alone gets runs that end with it; of both, the first that is reached ends them."""
+    base = RunConfig()
+    steps = with_values(base, {"steps": 9000})
+    assert (steps.episodes, steps.steps) == (0, 9000)
+    assert steps.progress(10**6, 4500) == 0.5
+    again = from_toml("episodes = 7", steps)
+    assert (again.episodes, again.steps) == (7, 0)
+    both = from_toml("episodes = 7\nsteps = 9000", base)
+    assert (both.progress(7, 1), both.progress(1, 9001)) == (1.0, 1.0)
+    assert read_saved(to_toml(both)) == both
+    with pytest.raises(ConfigError, match="one of them ends the run"):
+        from_toml("episodes = 0\nsteps = 0", base)
 
 
 def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):

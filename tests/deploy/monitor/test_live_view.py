@@ -40,6 +40,7 @@ SNAPSHOT = Snapshot(
     left=2133.0,
     episodes=812,
     episodes_total=2000,
+    progress=812 / 2000,
     reward=(
         Series("mean", (100.0, 741.0)),
         Series("communication", (-12.5,)),
@@ -252,9 +253,11 @@ def test_ascii_console_gets_ascii():
 def test_summary_is_the_essence_in_one_line():
     """The summary names state, episodes, rewards, rates, time left and the number of alarms."""
     assert summary(SNAPSHOT) == (
-        "training: episode 812 of 2,000; reward mean 420.5, communication -12.5, monitoring 1,250.0, "
+        "training: 812 of 2,000 episodes; reward mean 420.5, communication -12.5, monitoring 1,250.0, "
         "collection 960.0; 1,201 steps/s; 1,003 updates/s; 35:33 left; 1 alarm"
     )
+    in_steps = dataclasses.replace(SNAPSHOT, episodes_total=0, steps_total=1_000_000)
+    assert summary(in_steps).startswith("training: 406,000 of 1,000,000 steps; ")
     assert summary(Snapshot("new")) == "starting: no report from the learner yet"
 
 

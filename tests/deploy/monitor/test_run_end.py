@@ -20,7 +20,7 @@ def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
         monitor = RunMonitor(bus, "r")
         learner = Presence(bus, "r", "learner", "learner", 1)
         coordinator = Presence(away, "r", "elite", "coordinator", 1)
-        values = {"state": state, "episodes": episodes, "episodes_total": 72, "elapsed": 1.0}
+        values = {"state": state, "episodes": episodes, "episodes_total": 72, "progress": episodes / 72, "elapsed": 1.0}
 
         def seen(alive: bool) -> bool:
             learner.report(values)

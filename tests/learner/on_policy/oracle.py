@@ -5,13 +5,14 @@ the random order of the steps.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.distributions import Categorical, Normal
+from torch.distributions.transforms import TanhTransform
 
 from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.seeds import stream
@@ -117,7 +118,7 @@ class Oracle:
         if not group.choices:
             size = group.action_size
             normal = Normal(outputs[:, :size], outputs[:, size:].exp())
-            return normal.log_prob(torch.atanh(action)).sum(1), normal.entropy().sum(1)
+            return normal.log_prob(torch.atanh(action)).sum(1), squashed_entropy(normal).sum(1)
         if group.masked:
             outputs = torch.where(own[:, -group.options :] == 1, outputs, torch.tensor(-1e9))
         log_probability, entropy, start = torch.zeros(len(own)), torch.zeros(len(own)), 0
@@ -131,6 +132,8 @@ class Oracle:
     def iteration(self, rows: Rows, progress: float) -> None:
         """Learn from an iteration's rows; `progress` is the finished share of the run."""
         config, flag = self.config, rows.flag
+        if config.normalise_observations:
+            rows = replace(rows, observation=scaled(self.team, rows.observation))
         self.stopped.clear()
         team = torch.from_numpy(rows.observation)
         used = np.flatnonzero(flag & TRANSITION)
@@ -139,6 +142,11 @@ class Oracle:
         if config.objective == "decoupled":
             for agent in self.agents:
                 self._newest(agent)
+        for group in self.team.groups if config.normalise_returns else ():
+            mates = [agent for agent in self.agents if agent.group is group]
+            every = torch.cat([agent.data["returns"][used] for agent in mates])
+            for agent in mates:
+                agent.data["returns"] = (agent.data["returns"] - every.mean()) / every.std(correction=0)
         for group in self.team.groups:
             mates = [agent for agent in self.agents if agent.group is group]
             every = torch.cat([agent.data["advantage"][used] for agent in mates])
@@ -234,6 +242,24 @@ class Oracle:
                 parameters = [p for module in modules for p in module.parameters()]
                 norm = nn.utils.clip_grad_norm_(parameters, self.config.gradient_clip)
                 self.clipped += bool(norm > self.config.gradient_clip)
+
+
+def scaled(team: TeamSpec, observation: Any) -> Any:
+    """Return rows of a first iteration minus their mean over their deviation, or a tenth of the farthest distance."""
+    found = observation.astype(np.float64)
+    for group, own in zip(team.groups, team.split_observations(found), strict=True):
+        part = own[..., : -group.options] if group.masked else own
+        part -= part.mean(axis=(0, 1))
+        part /= np.maximum(part.std(axis=(0, 1)), np.abs(part).max(axis=(0, 1)) / 10)
+    return found.astype(np.float32)
+
+
+def squashed_entropy(normal: Normal) -> Tensor:
+    """Return the entropy after a tanh: H(u) + E[ln |d tanh(u) / du|], the expectation by quadrature."""
+    nodes, weights = np.polynomial.hermite.hermgauss(9)
+    u = normal.mean[..., None] + normal.stddev[..., None] * np.sqrt(2.0) * normal.mean.new_tensor(nodes)
+    slope = TanhTransform().log_abs_det_jacobian(u, torch.tanh(u))
+    return normal.entropy() + (slope * normal.mean.new_tensor(weights / np.sqrt(np.pi))).sum(-1)
 
 
 def unique(modules: list[nn.Module]) -> list[nn.Module]:

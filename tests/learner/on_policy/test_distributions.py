@@ -5,13 +5,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch.distributions import Categorical, Independent, Normal
+from torch.distributions import Categorical, Independent, Normal, TransformedDistribution
+from torch.distributions.transforms import TanhTransform
 
 from eia_sec.common.actions.sampling import ILLEGAL
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.learner.on_policy.distributions import evaluate
 from eia_sec.learner.on_policy.experience import split, split_actions
+from tests.learner.on_policy.oracle import squashed_entropy
 from tests.learner.on_policy.small_runs import observations, sampled
 
 FREE = GroupSpec("free", 3, 4, 2, choices=(3, 4))
@@ -63,7 +65,25 @@ def test_continuous_actions_have_the_probabilities_of_torch():
     found = evaluate(SMOOTH, own, outputs, action)
     wanted = Independent(Normal(outputs[..., :2], outputs[..., 2:].clamp(-20.0, 2.0).exp()), 1)
     torch.testing.assert_close(found.log_probability, wanted.log_prob(torch.atanh(action)))
-    torch.testing.assert_close(found.entropy, wanted.entropy())
+
+
+def test_the_entropy_of_continuous_actions_is_that_after_the_tanh():
+    """It agrees with the mean of -ln p over samples, and falls when the Gaussian is wider than the tanh can hold."""
+    torch.manual_seed(0)
+    mean, deviation = torch.tensor([0.0, 0.0, 1.5, -0.5]).double(), torch.tensor([0.1, 1.0, 0.6, 2.0]).double()
+    outputs = torch.cat([mean, deviation.log()])[None, None]
+    group = GroupSpec("smooth", 1, 2, 4)
+    own = torch.zeros(1, 1, 2)
+    after = TransformedDistribution(Independent(Normal(mean, deviation), 1), TanhTransform(cache_size=1))
+    samples = after.sample((200_000,))
+    wanted = -after.log_prob(samples).mean().item()
+    assert evaluate(group, own, outputs, torch.zeros(1, 1, 4)).entropy.item() == pytest.approx(wanted, abs=0.05)
+    wide = torch.cat([mean, (4 * deviation).log()])[None, None]
+    narrow = torch.cat([torch.zeros(4), torch.full((4,), -0.14)])[None, None]
+    assert (
+        evaluate(group, own, wide, own[..., :1].expand(1, 1, 4)).entropy
+        < evaluate(group, own, narrow, own[..., :1].expand(1, 1, 4)).entropy
+    )
 
 
 @pytest.mark.parametrize("group", [FREE, MASKED, SMOOTH], ids=lambda group: group.name)
@@ -79,7 +99,7 @@ def test_gradients_are_those_of_torch(group):
         entropy = sum(part.entropy() for part in parts)
     else:
         normal = Independent(Normal(theirs[..., :2], theirs[..., 2:].clamp(-20.0, 2.0).exp()), 1)
-        log_probability, entropy = normal.log_prob(torch.atanh(action)), normal.entropy()
+        log_probability, entropy = normal.log_prob(torch.atanh(action)), squashed_entropy(normal.base_dist).sum(-1)
     (log_probability + 0.3 * entropy).sum().backward()
     torch.testing.assert_close(ours.grad, theirs.grad, atol=1e-6, rtol=1e-5)
     if group.masked:

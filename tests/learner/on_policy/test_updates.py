@@ -17,6 +17,12 @@ CASES = {
     "ippo entropy": ("ippo", {"entropy_start": 0.5, "entropy_end": 0.1, "rate_end": 0.5, "target_kl": 0.0}),
     "ippo stops": ("ippo", {"actor_rate": 0.02, "target_kl": 0.02, "epochs": 4}),
     "ippo decoupled": ("ippo", {"objective": "decoupled", "target_kl": 0.0}),
+    "ippo scales": ("ippo", {"normalise_observations": True, "normalise_returns": True, "target_kl": 0.0}),
+    "mappo scales": ("mappo", {"normalise_observations": True, "normalise_returns": True, "target_kl": 0.0}),
+    "eia-ppo scales": (
+        "eia-ppo",
+        {"normalise_observations": True, "normalise_returns": True, "objective": "decoupled"},
+    ),
     "mappo": ("mappo", {"target_kl": 0.0}),
     "mappo decoupled": ("mappo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo separate": ("mappo", {"parameters": "separate", "gae_lambda": 0.5}),
