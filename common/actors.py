@@ -190,6 +190,11 @@ class TeamActors:
         """Return a copy that shares no array with these actors."""
         return replace(self, flat=tuple(flat.copy() for flat in self.flat))
 
+    @property
+    def draws(self) -> bool:
+        """Whether all actors have a distribution to draw actions from."""
+        return self.head == "gaussian" or all(group.choices for group in self.team.groups)
+
     def noise_free(self) -> "TeamActors":
         """Return actors that act as these do without noise; Gaussian heads become deterministic."""
         if self.head == "deterministic":

@@ -20,6 +20,7 @@ from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.errors import PolicyError
 from eia_sec.common.farm import farm_of, farm_team
 from eia_sec.common.policy_file import load_policy
+from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec, described
 from eia_sec.rollout.envs.base import Environments
 from eia_sec.rollout.heuristics.random import RandomPolicy
@@ -75,8 +76,37 @@ class ActorPolicy:
         """
         state, rows = self._state, environments.observation
         each = [None] * len(rows) if state is None else [state[index : index + 1] for index in range(len(rows))]
-        actions = [self._actors.environment_actions(row[None], own) for row, own in zip(rows, each, strict=True)]
-        return np.concatenate(actions)
+        own = zip(range(len(rows)), rows, each, strict=True)
+        return np.concatenate([self._actions(index, row[None], memory) for index, row, memory in own])
+
+    def _actions(self, index: int, row: Float32, state: Float32 | None) -> Float32:
+        """Return the actions [1, A] of environment `index` for its row [1, O]."""
+        return self._actors.environment_actions(row, state)
+
+
+class SampledPolicy(ActorPolicy):
+    """Actors that draw their actions, as they do while they learn on policy.
+
+    An episode's draws depend only on its scenario and episode seeds, not on its batch.
+
+    Args:
+        actors: actors with a distribution, see `TeamActors.draws`.
+    """
+
+    def __init__(self, actors: TeamActors) -> None:
+        super().__init__(actors)
+        self._streams: dict[int, np.random.Generator] = {}
+
+    def reset(self, environments: Environments, index: int) -> None:
+        """Start the random stream of one environment's episode; otherwise as `ActorPolicy`."""
+        super().reset(environments, index)
+        episode = environments.summary(index)
+        self._streams[index] = stream("sampled policy", episode.farm, episode.episode)
+
+    def _actions(self, index: int, row: Float32, state: Float32 | None) -> Float32:
+        shape, own = (1, self._actors.team.action_size), self._streams[index]
+        normal, uniform = own.standard_normal(shape, np.float32), own.random(shape, np.float32)
+        return self._actors.team.adapt(row, self._actors.sample(row, normal, uniform, state)[0])
 
 
 def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:

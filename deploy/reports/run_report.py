@@ -14,7 +14,7 @@ from eia_sec.deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from eia_sec.deploy.reports.comparison_tables import comparison_table
 from eia_sec.deploy.reports.plots import curves, trajectories
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run, record
-from eia_sec.rollout.policies import ActorPolicy, reference_policies, run_policy
+from eia_sec.rollout.policies import ActorPolicy, SampledPolicy, reference_policies, run_policy
 
 TRAINED = "this run"
 
@@ -58,8 +58,11 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
 
 def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:
     """Return the evaluations of a policy file and of the environment's reference policies on the same episodes."""
-    trained, episodes = ActorPolicy(load_policy(policy)[0]), config.evaluation.episodes
-    policies = {TRAINED: trained} | {name: run_policy(name, config) for name in reference_policies(config)}
+    actors, episodes = load_policy(policy)[0], config.evaluation.episodes
+    drawn = {f"{TRAINED}, sampled": SampledPolicy(actors)} if actors.draws and farm_of(config) is None else {}
+    policies = {TRAINED: ActorPolicy(actors), **drawn} | {
+        name: run_policy(name, config) for name in reference_policies(config)
+    }
     return [evaluate_run(config, flown, farms, episodes, name=name) for name, flown in policies.items()]
 
 

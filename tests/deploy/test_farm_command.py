@@ -16,7 +16,7 @@ from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.files import differences, from_toml, to_toml
 from eia_sec.common.errors import ConfigError
 from eia_sec.deploy.cli import dispatch
-from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, run
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, evaluations
 from eia_sec.deploy.commands.training.learner import LearnerArguments
 from eia_sec.deploy.exit_codes import USAGE, run_command
 from eia_sec.deploy.local.run_directory import RunDirectory
@@ -30,6 +30,11 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "farms.md").read_text()
 ORCHARD = ["orchard.csv", "orchard.geojson"]
 EXAMPLES = [*ORCHARD, "orchard_no_fly.geojson", "orchard_growth.geojson"]
+
+
+def run(arguments):
+    """Return the evaluation of a policy's likeliest actions."""
+    return evaluations(arguments)[0]
 
 
 def blocks(language):

@@ -15,14 +15,15 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import PolicyError, RunDirError, UsageError
 from eia_sec.common.farm import require_farm
+from eia_sec.common.policy_file import load_policy
 from eia_sec.deploy.exit_codes import DONE
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from eia_sec.deploy.reports.comparison_tables import comparison_table
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run
 from eia_sec.rollout.heuristics.registry import RELAYS, TASKS
-from eia_sec.rollout.policies import POLICIES, run_policy
-from eia_sec.rollout.shipped_policies import preset_of
+from eia_sec.rollout.policies import POLICIES, SampledPolicy, run_policy
+from eia_sec.rollout.shipped_policies import is_file, preset_of
 
 POLICY_HELP: Final = (
     f"{', '.join(POLICIES)}, or a policy file; with --run-dir, instead of the run's policy. TASK+RELAYS, a task being "
@@ -62,16 +63,19 @@ class EvaluateArguments:
 def command(arguments: Sequence[str]) -> int:
     """Evaluate a policy and print the result; return 0."""
     options = parse(EvaluateArguments, arguments, "evaluate")
-    evaluation = run(options)
+    found = evaluations(options)
     if options.json:
-        sys.stdout.write(json.dumps(evaluation.to_dict(), indent=2) + "\n")
+        first, *drawn = [evaluation.to_dict() for evaluation in found]
+        sys.stdout.write(json.dumps({**first, **({"sampled": drawn[0]} if drawn else {})}, indent=2) + "\n")
     else:
-        Console(markup=False).print(comparison_table([evaluation]))
+        Console(markup=False).print(comparison_table(found))
     return DONE
 
 
-def run(arguments: EvaluateArguments) -> Evaluation:
-    """Return the evaluation for the arguments.
+def evaluations(arguments: EvaluateArguments) -> list[Evaluation]:
+    """Return the evaluation for the arguments, and for a policy file with a distribution that of drawn actions, too.
+
+    A policy that has hardly learned may fail by its likeliest actions and do well by drawn ones.
 
     Raises:
         UsageError: something in the arguments does not exist or is impossible.
@@ -87,7 +91,11 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     config = configuration_of(arguments)
     name = policy_name(arguments)
     shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
-    return evaluate_run(config, run_policy(name, config), farms, arguments.episodes, name=shown)
+    found = [evaluate_run(config, run_policy(name, config), farms, arguments.episodes, name=shown)]
+    if is_file(Path(name)) and (actors := load_policy(Path(name))[0]).draws:
+        drawn = f"{shown}, sampled"
+        found.append(evaluate_run(config, SampledPolicy(actors), farms, arguments.episodes, name=drawn))
+    return found
 
 
 def policy_name(arguments: EvaluateArguments) -> str:

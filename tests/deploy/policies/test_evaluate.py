@@ -8,7 +8,7 @@ from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.policy_file import save_policy
-from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, command, parse_farms, run
+from eia_sec.deploy.commands.policies.evaluate import EvaluateArguments, command, evaluations, parse_farms
 from eia_sec.deploy.policies.replay import Comparison, scenes_of
 
 SMALL = (
@@ -18,6 +18,11 @@ SMALL = (
     "farm.world.collection_uavs=1",
     "farm.world.communication_uavs=1",
 )
+
+
+def run(arguments):
+    """Return the evaluation of a policy's likeliest actions."""
+    return evaluations(arguments)[0]
 
 
 @pytest.fixture

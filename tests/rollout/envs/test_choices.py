@@ -20,7 +20,7 @@ from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
 from eia_sec.rollout.envs.registry import environment_spec, make_environments
 from eia_sec.rollout.evaluation import evaluate_run
 from eia_sec.rollout.heuristics.random import RandomPolicy
-from eia_sec.rollout.policies import ActorPolicy, fitted
+from eia_sec.rollout.policies import ActorPolicy, SampledPolicy, fitted
 from eia_sec.rollout.worker.collector import run_noise_free_episodes
 
 ORDER = ("walker_0", "walker_1", "painter_0", "porter_0")
@@ -226,6 +226,18 @@ def test_actors_fly_such_environments(shared):
     assert steps.tolist() == [4, 4]
     found = evaluate_run(config, ActorPolicy(actors), (7, 8), 1, name="actors").to_dict()
     assert set(found["reward"]) == {"mean", "walker", "porter", "painter"}
+
+
+def test_drawn_actions_do_not_depend_on_the_batch():
+    """An episode's draws follow from its seeds; they differ from the likeliest actions and from episode to episode."""
+    config = RunConfig(
+        env=EnvConfig("toy_choices:Doors", arguments='{"masks": "info"}'), algorithm=IppoConfig(hidden=4)
+    )
+    actors = TeamActors.initial(environment_spec(config).team, 4, 0, head="gaussian")
+    together = evaluate_run(config, SampledPolicy(actors), (7, 8), 3, name="drawn")
+    alone = evaluate_run(config, SampledPolicy(actors), (8,), 3, name="drawn")
+    assert together.per_farm[1] == alone.per_farm[0]
+    assert together.per_farm != evaluate_run(config, ActorPolicy(actors), (7, 8), 3, name="likeliest").per_farm
 
 
 def test_actors_fit_only_their_own_choices():
