@@ -86,14 +86,16 @@ class _Totals:
                 self.merge(replace(whole, duplicates=entry.steps))
 
     def roll_back(self, resume: Resume) -> None:
-        """Count accepted chunks that a checkpoint does not hold as lost."""
-        for entry in self._accepted:
+        """Count accepted chunks that a checkpoint does not hold as lost; a later resume may be from an older one."""
+        accepted, self._accepted = self._accepted, []
+        for entry in accepted:
             for part, held in _split(entry, resume.workers.get(entry.worker, (0, 0))):
-                if not held:
+                if held:
+                    self._accepted.append(part)
+                else:
                     chunks, steps = len(part.numbers), len(part.numbers) * part.steps
                     whole = Summary(part.worker, part.incarnation, part.last)
                     self.merge(replace(whole, accepted=-chunks, accepted_steps=-steps, lost=chunks, lost_steps=steps))
-        self._accepted.clear()
 
     def summaries(self) -> list[Summary]:
         """Return one summary for each of a worker's newest starts, and one for those before."""

@@ -50,6 +50,12 @@ def test_what_a_resume_rolled_back_stays_lost():
     assert summarised(records, {"w": (1, 41)}) == [Summary("w", 1, 40, 30, 300, lost=10, lost_steps=100)]
 
 
+def test_a_second_resume_may_be_from_an_older_checkpoint():
+    """Where the newest checkpoint was damaged, chunks that the first resume still held are lost with the second."""
+    records = [entry("accepted", 1, 30), Resume({"w": (1, 31)}), Resume({"w": (1, 21)}), entry("accepted", 31, 40)]
+    assert summarised(records, {"w": (1, 41)}) == [Summary("w", 1, 40, 30, 300, lost=10, lost_steps=100)]
+
+
 def test_starts_without_end_share_a_line():
     """Of a worker's starts the newest have a line each, and no step of the others is dropped."""
     records = [entry("accepted", 1, 2, start=start) for start in range(1, 501)]
