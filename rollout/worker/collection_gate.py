@@ -5,6 +5,10 @@ from eia_sec.common.config import RolloutConfig
 from eia_sec.rollout.worker.learner_link import COLLECTING, LearnerLink
 from eia_sec.rollout.worker.sender import Sender
 
+FOREIGN_SECONDS = 5.0
+"""A learner publishes a version before an answer asks for it. If its progress still names a lower one so long after the
+answer, the answer was not its own."""
+
 
 class CollectionGate:
     """Makes a worker wait in each of these cases.
@@ -43,6 +47,10 @@ class CollectionGate:
                 # Versions of another learner; this one may have begun anew below them.
                 sender.required_version = 0
             self._epoch = self._learner.epoch
+        heard_since = self._learner.heard_at - sender.answered_at
+        if heard_since > FOREIGN_SECONDS and self._learner.newest_version < sender.required_version:
+            # The answer was an earlier learner's, and came after this one had been followed.
+            sender.required_version = 0
         if store.actors is None or self._learner.state not in COLLECTING:
             return None
         if self._lockstep:

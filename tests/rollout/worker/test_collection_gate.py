@@ -6,7 +6,7 @@ import pytest
 
 from eia_sec.common.config import RolloutConfig
 from eia_sec.common.protocol.codec import NO_LIMIT
-from eia_sec.rollout.worker.collection_gate import CollectionGate
+from eia_sec.rollout.worker.collection_gate import FOREIGN_SECONDS, CollectionGate
 
 
 def worker(**changed):
@@ -78,4 +78,13 @@ def test_what_a_new_learner_asks_for_is_kept():
     sender.full, sender.required_version = False, 6
     assert gate.actors() is None
     learner.store.version = 6
+    assert gate.actors() == "actors"
+
+
+def test_what_an_earlier_learner_asked_for_too_late_does_not_hold_a_worker():
+    """An answer may arrive after its learner's successor was followed, whose versions may stay below for ever."""
+    gate, learner, _ = worker(sender_required_version=900)
+    learner.heard_at = 2.0 + FOREIGN_SECONDS
+    assert gate.actors() is None
+    learner.heard_at += 0.1
     assert gate.actors() == "actors"
