@@ -107,8 +107,7 @@ class Stack(nn.Module):
             [B, n, outputs].
         """
         if self.count == 1:
-            rows = x.reshape(-1, x.shape[2])
-            return self._one(rows).view(x.shape[0], x.shape[1], -1)
+            return self.outputs(x.reshape(1, -1, x.shape[2])).view(x.shape[0], x.shape[1], -1)
         return self.outputs(x.transpose(0, 1)).transpose(0, 1)
 
     def outputs(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
@@ -119,15 +118,9 @@ class Stack(nn.Module):
             flat: parameters [S, P] in place of the stack's own.
         """
         w1, b1, w2, b2, w3, b3 = self.layers_as(x.dtype, flat)
-        h = torch.relu_(torch.baddbmm(b1[:, None], x, w1))
-        h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
-        return torch.baddbmm(b3[:, None], h.to(w3.dtype), w3)
-
-    def _one(self, x: Tensor) -> Tensor:
-        w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.layers_as(x.dtype))
-        h = torch.relu_(torch.addmm(b1, x, w1))
-        h = torch.relu_(torch.addmm(b2, h, w2))
-        return torch.addmm(b3, h.to(w3.dtype), w3)
+        h = torch.relu_(affine(x, w1, b1))
+        h = torch.relu_(affine(h, w2, b2))
+        return affine(h.to(w3.dtype), w3, b3)
 
     def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:
         """Return outputs and states, which only networks with memory have (`eia_sec.learner.networks.recurrent`)."""
@@ -162,6 +155,13 @@ class Stack(nn.Module):
         own = self.flat[:, : self.size]
         assert flat.shape == own.shape  # else `copy_` would repeat the rows that there are
         own.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
+
+
+def affine(x: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
+    """Return x W + b of S networks, [S, R, b], for x [S, R, a], W [S, a, b] and b [S, b]."""
+    if len(weights) > 1:
+        return torch.baddbmm(biases[:, None], x, weights)
+    return torch.addmm(biases.squeeze(0), x.squeeze(0), weights.squeeze(0)).unsqueeze(0)
 
 
 def orthogonal(shape: tuple[int, ...], gain: float, generator: np.random.Generator) -> Float32:

@@ -6,7 +6,14 @@ import pytest
 
 from eia_sec.common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
 from eia_sec.common.config.ablations import ABLATIONS
-from eia_sec.common.config.algorithms import OPTIONAL_SECTIONS, switched
+from eia_sec.common.config.algorithms import (
+    OPTIONAL_SECTIONS,
+    AlgorithmConfig,
+    BaselineConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    switched,
+)
 from eia_sec.common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting, with_values
 from eia_sec.common.config.presets import PRESETS, preset
 from eia_sec.common.errors import ConfigError, UsageError
@@ -52,6 +59,11 @@ def test_sections_that_nobody_reads_make_no_difference():
     assert "elite.cycle: 10 -> none" in differences(imitating, found[0])
 
 
+def named(family):
+    """Return the names of a family's algorithms as messages list them."""
+    return ", ".join(name for name, config in ALGORITHM_CONFIGS.items() if issubclass(config, family))
+
+
 REFUSED = [
     ("[algorithm]\ntemperature = 2.0", "algorithm.temperature has no effect with eia-sec; it is an option of masac."),
     (
@@ -64,7 +76,7 @@ REFUSED = [
     ),
     (
         "algorithm.others = 'team'",
-        "algorithm.others has no effect with eia-sec; it is an option of maddpg, matd3, masac.",
+        f"algorithm.others has no effect with eia-sec; it is an option of {named(BaselineConfig)}.",
     ),
     (
         '[elite]\ncycle = 4\n[algorithm]\nname = "matd3"',
@@ -89,7 +101,7 @@ LINES = [
     ),
     (
         ["--replay.capacity", "5000"],
-        "replay.capacity has no effect with ippo; it is an option of eia-sec, maddpg, matd3, masac.",
+        f"replay.capacity has no effect with ippo; it is an option of {named(OffPolicyConfig)}.",
     ),
     (
         ["--algorithm=masac", "--algorithm.no-ensemble"],
@@ -109,7 +121,7 @@ LINES = [
     ),
     (
         [*EIA_SEC, "--algorithm.memory", "gru"],
-        "algorithm.memory has no effect with eia-sec; it is an option of ippo, mappo, eia-ppo.",
+        f"algorithm.memory has no effect with eia-sec; it is an option of {named(OnPolicyConfig)}.",
     ),
     (
         ["--farm.battery.failsafe", "0.2"],
@@ -126,7 +138,7 @@ LINES = [
     ([*EIA_SEC, "--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
     (
         ["--algorithm", "sec"],
-        "algorithm.name must be one of eia-sec, maddpg, matd3, masac, ippo, mappo, eia-ppo, not 'sec'.",
+        f"algorithm.name must be one of {named(AlgorithmConfig)}, not 'sec'.",
     ),
 ]
 
