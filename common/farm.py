@@ -114,11 +114,12 @@ def _group(farm: FarmConfig, name: str, count: int) -> GroupSpec:
     """Return a type of UAVs with its control; raise ConfigError for UAVs too slow for any lattice."""
     names, control = observation_names(farm, name), getattr(farm.control, name)
     adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
-    if control in ("lattice", "moves"):
+    if control == "lattice" or (control == "moves" and not farm.dynamics.inertial):
         adapters = (lattice_of(farm.world, inset_of(farm, name)), *adapters)
     if control == "moves":
         marks = (nine_names(ROUTE), nine_names(PLAN))
-        moves = NineMoves(_suggestion(names, marks), *_task_hints(farm, names))
+        hints = (-1, -1) if farm.dynamics.inertial else _task_hints(farm, names)
+        moves = NineMoves(_suggestion(names, marks), *hints)
         return GroupSpec(name, count, len(names), 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
         headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], *_relay_hints(farm, name, names))

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.config import DynamicsConfig, FarmConfig, WorldConfig
 
 COMMUNICATION: Final = "communication"
 MONITORING: Final = "monitoring"
@@ -44,9 +44,13 @@ ROUTE_OFFSET: Final = 2.0
 SOON, LATER = 25, 100
 """Steps before the end at which the two counts of the steps left begin to fall (ours)."""
 
+HOLD: Final = 3
+"""Steps for which UAVs with inertia are taken to hold a velocity that they see as a move (ours)."""
+
 PLAN: Final = "plan"
 ROUTE: Final = "route"
 
+INERTIAL: Final = "farm.dynamics.model inertial"
 CHAIN: Final = "link, with a base station"
 OFFSET: Final = "offset (dx / X, dy / Y)"
 SLACK: Final = "link range less distance, over the range, clipped"
@@ -160,7 +164,19 @@ def _see_others(farm: FarmConfig, name: str, table: _Table) -> None:
         table.add(True, "peers", "peer", _offset(f"peer_{k}"), -1, 1, offset)
         table.add(True, "peers", "peer", _xy(f"peer_{k}_velocity"), -1, 1, "its last velocity over full speed")
         table.add(True, "peers", "peer", [f"peer_{k}_present"], 0, 1, "1 if there is one")
-    table.add(seen.last_move, "last_move", "last velocity", _xy("last_velocity"), -1, 1, "own, over full speed")
+    last = "own, over full speed; with inertia the present one"
+    table.add(seen.last_move, "last_move", "last velocity", _xy("last_velocity"), -1, 1, last)
+    if farm.dynamics.inertial:
+        _see_motion(table)
+
+
+def _see_motion(table: _Table) -> None:
+    table.add(True, INERTIAL, "motion", _xy("acceleration"), -1, 1, "own acceleration over its limit")
+    table.add(True, INERTIAL, "motion", _xy("command"), -1, 1, "last commanded velocity over full speed")
+    stop = "way to where it can stop, over the longest such way"
+    table.add(True, INERTIAL, "motion", _xy("stop"), -ROUNDING, ROUNDING, stop)
+    overruns = "1 for each of nine moves after a step of which it cannot stop in the field and before a zone"
+    table.add(True, INERTIAL, "motion", nine_names("overruns"), 0, 1, overruns)
 
 
 def _see_left(farm: FarmConfig, table: _Table) -> None:
@@ -169,7 +185,7 @@ def _see_left(farm: FarmConfig, table: _Table) -> None:
 
 
 def _see_task(farm: FarmConfig, name: str, table: _Table) -> None:
-    seen, world, monitor = farm.observation, farm.world, name == MONITORING
+    seen, world, monitor, held = farm.observation, farm.world, name == MONITORING, farm.dynamics.inertial
     near, most = "SR over d_safety of each of nine moves, over the two nearest peers", 2.0 * STEP_ROUNDING
     risk = f"{near}; mean over the peer's nine moves"
     table.add(seen.closing, "closing", "risk, any", nine_names("risk_any"), 0, most, risk)
@@ -178,7 +194,8 @@ def _see_task(farm: FarmConfig, name: str, table: _Table) -> None:
     unit = "VDF over its largest value" if monitor else "AoI over twice its largest value"
     brings = f"{unit} that each of nine moves would bring, clipped"
     table.add(seen.units > 0, "units", "units", nine_names("units_1"), 0, MOST_UNITS, brings)
-    brings = f"{unit} of each move and the best after it, clipped"
+    longer = f"that each would bring if held for {2 * HOLD} steps" if held else "of each move and the best after it"
+    brings = f"{unit} {longer}, clipped"
     table.add(seen.units > 1, "units", "units of two", nine_names("units_2"), 0, 2.0 * MOST_UNITS, brings)
     loses = f"the best plan of {seen.plan} steps that begins with it loses, in full items"
     table.add(seen.plan, "plan", "plan", nine_names(PLAN), 0, 1, f"e to the minus {1 / PLAN_LOSS:g} times what {loses}")
@@ -275,6 +292,15 @@ def _apart(world: WorldConfig, height: float, others: tuple[float, ...]) -> floa
     rise = max(abs(other - height) for other in others)
     diagonal = math.hypot(world.field_x, world.field_y)
     return math.hypot(diagonal, rise) / diagonal * (ROUNDING if rise else 1.0)
+
+
+def farthest_stop(dynamics: DynamicsConfig, kind: int) -> float:
+    """Return the longest way along an axis in which a UAV of a type stops, m.
+
+    It flies at top speed until the command arrives, and until an acceleration at its limit has ended; then it brakes.
+    """
+    most, jerk, delay, top = (dynamics.of_types(name)[kind] for name in ("acceleration", "jerk", "delay", "speed"))
+    return top * (delay + most / jerk) + 0.5 * top * (top / most + most / jerk)
 
 
 def field_range(world: WorldConfig) -> float:

@@ -18,6 +18,7 @@ from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm import (
     BatteryConfig,
     CameraConfig,
+    DynamicsConfig,
     EnergyConfig,
     FarmConfig,
     RadioConfig,
@@ -41,6 +42,7 @@ __all__ = [
     "BatteryConfig",
     "CameraConfig",
     "ControlConfig",
+    "DynamicsConfig",
     "EiaPpoConfig",
     "EiaSecConfig",
     "EliteConfig",

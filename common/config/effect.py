@@ -13,6 +13,7 @@ SWITCHES: Final = (
     ("elite.", "elite.enabled", False),
     ("algorithm.sequence_", "algorithm.memory", "none"),
     ("env.", "env.name", FARM),
+    ("farm.dynamics.", "farm.dynamics.model", "instant"),
     ("farm.battery.", "farm.battery.capacity", 0.0),
     ("farm.stress.radius", "farm.stress.patches", 0),
     ("farm.stress.growth", "farm.stress.patches", 0),

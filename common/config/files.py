@@ -335,9 +335,11 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
     if wanted in lists:
         return lists[wanted](key, value)
     if get_origin(wanted) is tuple:
-        if not isinstance(value, list) or any(type(item) is not int for item in value):
-            raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
-        return tuple(value)
+        item, *_ = get_args(wanted)
+        if not isinstance(value, list) or any(type(each) not in (int, item) for each in value):
+            what = "whole numbers" if item is int else "numbers"
+            raise ConfigError(f"{key} must be a list of {what}, not {_show(value)}.")
+        return tuple(map(item, value))
     if wanted is float and type(value) is int:
         if abs(value) > sys.float_info.max:
             raise ConfigError(f"{key} is a number that is too large.")

@@ -176,6 +176,15 @@ collection = 0.8
 """
 """A farm with all of them: links that count, failures, stress, batteries, wind and no-fly zones."""
 
+INERTIAL: Final = """
+episodes = 6000
+[farm.dynamics]
+model = "inertial"
+[farm.observation]
+route = false
+"""
+"""The default farm with UAVs that need time to change their velocity, by PX4's limits; actors learn from nothing."""
+
 EIA_SEC: Final = """
 episodes = 400
 [farm.observation]
@@ -286,6 +295,7 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "uneven": from_toml(UNEVEN, _PLANS),
     "battery": from_toml(BATTERY, _PLANS),
     "field": from_toml(FIELD, RunConfig()),
+    "inertial": from_toml(INERTIAL, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),
     "paper": from_toml(PAPER, _EIA_SEC),

@@ -23,7 +23,7 @@ from eia_sec.common.config import BatteryConfig, FailureConfig, FarmConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.heuristics.charging import Charging
 from eia_sec.rollout.heuristics.navigation import Navigation
-from eia_sec.rollout.heuristics.steering import AWAY, loiter, loiter_speed
+from eia_sec.rollout.heuristics.steering import AWAY, LOITER_MAX, loiter, loiter_speed
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.boxes import Array
 from eia_sec.rollout.sim.layout import Layout
@@ -32,6 +32,10 @@ RELAYS: Final = 0
 MONITORS: Final = 1
 COLLECTORS: Final = 2
 """The three types, as indices of `FarmState.agents`."""
+NEAR: Final = 0.5
+"""Where a UAV with inertia waits, it is at most so far from its goal along each axis, m."""
+DRIFT: Final = 20
+"""Steps for which it drifts one way."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class FarmState:
         assignment: [n_m + n_d] relay of each served UAV; -1 without relays.
         cycles: cycles of the counters as far as known, VDF [n_px n_py] and AoI [S], steps.
         wind: of the last step along x and y, [2] over top speed; None where there is none.
+        motion: velocity, acceleration and last command, [n, 6] m/s and m/s^2; [0, 6] where UAVs have no inertia.
     """
 
     config: FarmConfig
@@ -63,6 +68,7 @@ class FarmState:
     assignment: NDArray[np.int64]
     cycles: tuple[NDArray[np.int64], NDArray[np.int64]]
     wind: Array | None
+    motion: Array
 
     def of(self, kind: int) -> Array:
         """Return the positions of the UAVs of a type, [n_v, 2] m."""
@@ -156,10 +162,24 @@ class CompositePolicy:
         if self._config.battery.some:
             self._charging.redirect(farms, indices, goals)
         position = np.where(farms.gone[indices, :, None], AWAY, farms.position[indices])
-        waiting = loiter(position, goals, farms.time[indices], self._loiter)
-        action = self._navigation.towards(farms, indices, position, waiting)
+        if self._config.dynamics.inertial:
+            action = self._drifting(farms, indices, goals - position)
+        else:
+            waiting = loiter(position, goals, farms.time[indices], self._loiter)
+            action = self._navigation.towards(farms, indices, position, waiting)
         action = self._navigation.apart(farms, indices, position, action)
         return self._navigation.stopped(farms, indices, position, action)
+
+    def _drifting(self, farms: FarmBatch, indices: NDArray[np.int64], ways: Array) -> Array:
+        """Return the velocities that lead UAVs with inertia to goals; whoever stands at one drifts to and fro."""
+        position = np.where(farms.gone[indices, :, None], AWAY, farms.position[indices])
+        action = self._navigation.towards(farms, indices, position, position + ways)
+        slow = np.abs(farms.motion[indices, :, 0:2]).max(axis=-1) < LOITER_MAX
+        waits = slow & (np.abs(ways).max(axis=-1) < NEAR)
+        speed = self._loiter / self._config.world.step_seconds / self._config.world.speed_x_max
+        turn = np.where(farms.time[indices] // DRIFT % 2 == 0, speed, -speed)
+        drift = np.stack([np.broadcast_to(turn[:, None], waits.shape), np.zeros(waits.shape)], axis=-1)
+        return np.where(waits[..., None], drift, action)
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():
@@ -198,4 +218,5 @@ class CompositePolicy:
             assignment=np.where(served >= 0, number[served], -1),
             cycles=farms.known_cycles(index),
             wind=None if wind is None else wind[0, 0],
+            motion=farms.motion[index][left] if self._config.dynamics.inertial else farms.motion[index],
         )

@@ -73,7 +73,9 @@ class SearchRelays:
             self._places = served_centres(own, served, state.assignment)
         stride = STRIDES[(left - 1) % len(STRIDES)]
         self._places = self._improved(state.config.world, self._places, served, stride)
-        goals: Array = own + (self._places - own) / left
+        # UAVs with inertia could not fly a share of the way in each step, and stop where they are sent.
+        steps = 1 if state.config.dynamics.inertial else left
+        goals: Array = own + (self._places - own) / steps
         return goals
 
     def _improved(self, world: WorldConfig, places: Array, served: Array, stride: float) -> Array:

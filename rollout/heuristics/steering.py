@@ -64,7 +64,13 @@ def keep_apart(position: Array, action: Array, world: WorldConfig, wind: Array |
     Returns:
         [E, n, 2] in [-1, 1].
     """
-    motion = action * reach(world)
+    low, high = possible(np.zeros(2) if wind is None else wind)
+    apart: Array = np.clip(apart_ways(position, action * reach(world), world) / reach(world), low, high)
+    return apart
+
+
+def apart_ways(position: Array, motion: Array, world: WorldConfig) -> Array:
+    """Return ways [E, n, 2] m without what closes in on others, from the ways that UAVs want to make; see above."""
     now = position[:, None] - position[:, :, None]
     then = now + motion[:, None] - motion[:, :, None]
     distance, following = np.hypot(now[..., 0], now[..., 1]), np.hypot(then[..., 0], then[..., 1])
@@ -76,10 +82,8 @@ def keep_apart(position: Array, action: Array, world: WorldConfig, wind: Array |
     heading = heading * np.expand_dims(risky.any(axis=2), axis=2)
     closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True))
     side = position + motion - closing * heading
-    inside = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE)
-    low, high = possible(np.zeros(2) if wind is None else wind)
-    apart: Array = np.clip((inside - position) / reach(world), low, high)
-    return apart
+    ways: Array = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE) - position
+    return ways
 
 
 def loiter_speed(config: FarmConfig) -> float:

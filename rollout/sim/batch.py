@@ -61,6 +61,8 @@ class FarmBatch:
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm;
             NO_LINK without a relay.
+        motion: [E, n, 6] velocity, acceleration and last command along x and y, m/s and m/s^2; [E, 0, 6] where UAVs
+            reach any velocity at once (`farm.dynamics`).
         charge: [E, n] of the batteries, J; [E, 0] without batteries (`farm.battery`).
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
@@ -118,6 +120,7 @@ class FarmBatch:
         self.utility: NDArray[np.float64] = self._state.utility
         self.served_sensors: NDArray[np.float64] = self._state.served
         self.link_quality: NDArray[np.float64] = self._state.quality
+        self.motion: NDArray[np.float64] = self._state.motion
         self.charge: NDArray[np.float64] = self._state.charge
         self.patch_place: NDArray[np.float64] = self._state.patch_place
         self.patch_time: NDArray[np.int32] = self._state.patch_time
@@ -211,6 +214,7 @@ class FarmBatch:
         self._seeds[e] = (farm_seed, episode_seed)
         state.key[e] = packet_key(farm_seed, episode_seed)
         state.time[e] = 0
+        state.motion[e] = 0.0
         state.position[e] = start_positions(world, farm_seed, episode_seed, layout.zones)
         state.age[e], state.level[e] = start_levels(world, farm_seed, episode_seed)
         state.sensor[e] = layout.sensor_xy.T

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from eia_sec.common.config.farm.battery import BatteryConfig
 from eia_sec.common.config.farm.control import ControlConfig
+from eia_sec.common.config.farm.dynamics import DynamicsConfig
 from eia_sec.common.config.farm.equipment import CameraConfig, EnergyConfig, RadioConfig
 from eia_sec.common.config.farm.failures import FailureConfig
 from eia_sec.common.config.farm.observation import ObservationConfig
@@ -19,6 +20,7 @@ __all__ = [
     "BatteryConfig",
     "CameraConfig",
     "ControlConfig",
+    "DynamicsConfig",
     "EnergyConfig",
     "FailureConfig",
     "FarmConfig",
@@ -45,6 +47,7 @@ class FarmConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     failures: FailureConfig = field(default_factory=FailureConfig)
     stress: StressConfig = field(default_factory=StressConfig)
     battery: BatteryConfig = field(default_factory=BatteryConfig)
@@ -57,6 +60,12 @@ class FarmConfig:
         self.failures.check(self.world.counts, self.world.steps)
         self.wind.check(self.world)
         self.zones.check(self.world)
+        self.dynamics.check(self.world.step_seconds)
+        if self.dynamics.inertial and (self.observation.route or self.observation.plan > 0):
+            raise ConfigError(
+                "observation.route and observation.plan lead from one lattice point to the next, which takes "
+                "dynamics.model instant; with inertial set them to false and 0."
+            )
         if self.observation.sensors > self.world.sensors:
             raise ConfigError(
                 f"observation.sensors {self.observation.sensors} exceeds the {self.world.sensors} sensors there are."

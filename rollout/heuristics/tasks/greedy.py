@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.inertia import Inertia
 from eia_sec.rollout.heuristics.tasks.targets import Targets
 from eia_sec.rollout.sim.boxes import Array, aim, steps_to
 
@@ -45,15 +46,24 @@ class GreedyGroupPolicy:
         """Return a place in each UAV's target, or the UAV's own position if no target has value: [n_v, 2] m."""
         position, world, box = state.of(self._kind), state.config.world, self._targets.box
         value = self._targets.value(state)
-        steps = steps_to(position[:, None], box[:, None], world, state.wind)
+        steps = flight_steps(state, self._kind, position[:, None], box[:, None])
         self._chosen = best_targets(value, steps, self._targets.centre, self._chosen, OFFSET, SEPARATION)
         goals = position.copy()
         for uav, target in enumerate(self._chosen):
             if target >= 0:
-                onward = value / (steps_to(self._targets.centre[target], box, world, state.wind) + OFFSET)
+                onward = value / (flight_steps(state, self._kind, self._targets.centre[target], box) + OFFSET)
                 onward[target] = 0.0
                 goals[uav] = aim(position[uav], box[:, target], box[:, onward.argmax()], world, state.wind)
         return goals
+
+
+def flight_steps(state: FarmState, kind: int, position: Array, box: Array) -> Array:
+    """Return the steps of UAVs of a type to boxes; with inertia from rest to rest. As `steps_to`."""
+    if not state.config.dynamics.inertial:
+        return steps_to(position, box, state.config.world, state.wind)
+    gap = np.maximum(0.0, np.maximum(box[0] - position, position - box[1]))
+    seconds = Inertia(state.config, np.array([kind])).seconds_for(gap)
+    return np.asarray(np.maximum(1.0, np.ceil(seconds / state.config.world.step_seconds)))
 
 
 def best_targets(

@@ -14,8 +14,10 @@ from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import lattice_of
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from eia_sec.rollout.heuristics.detours import Airspace, airspace_of
+from eia_sec.rollout.heuristics.inertia import Inertia
 from eia_sec.rollout.heuristics.tasks import lawnmower
 from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
+from eia_sec.rollout.heuristics.tasks.motion_search import CELL, Limits, Reward, best_commands, make_sites
 from eia_sec.rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
 from eia_sec.rollout.sim.boxes import reach
 from eia_sec.rollout.sim.core.constants import constants
@@ -56,12 +58,19 @@ EFFORT: Final = Effort()
 STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 """Its effort where there can be stress: a larger search pays there, for `uneven` 2 %."""
 
+MOTION_EFFORT: Final = Effort(horizon=16, width=48, last_horizon=24, last_width=64, same=2)
+"""Its effort where UAVs have inertia."""
+PIECES: Final = 400
+"""Pieces of the table of a packet's probability."""
+
 
 def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that sweep until the last steps, and where there can be stress, monitors that plan throughout.
 
     Where all plots are alike, no plan beats a sweep.
     """
+    if state.config.dynamics.inertial:
+        return MotionGroupPolicy(state, MONITORS)
     if state.config.stress.some:
         return HorizonGroupPolicy(state, MONITORS, effort_of(state.config))
     return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
@@ -69,6 +78,8 @@ def monitors(state: FarmState) -> GroupPolicy:
 
 def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that plan ahead."""
+    if state.config.dynamics.inertial:
+        return MotionGroupPolicy(state, COLLECTORS)
     return HorizonGroupPolicy(state, COLLECTORS, effort_of(state.config))
 
 
@@ -105,18 +116,14 @@ class HorizonGroupPolicy:
     """
 
     def __init__(self, state: FarmState, kind: int, effort: Effort = EFFORT) -> None:
-        world, layout = state.config.world, state.layout
+        layout = state.layout
         self._kind = kind
         self._effort = effort
         self._reward = step_reward(state.config, kind, effort.discount)
         if kind == MONITORS:
             self._grid = plot_grid(state.config)
-            self._phase: Indices = layout.plot_phase.reshape(-1)
-            self._most = float(world.vdf_max)
         else:
             self._grid = sensor_grid(state.config, layout.sensor_xy)
-            self._phase = layout.sensor_phase
-            self._most = float(world.aoi_max)
         if state.layout.zones:
             airspace = airspace_of(state.config, state.layout)
             self._grid = self._grid._replace(free=free_moves(self._grid.place, self._grid.rows, airspace))
@@ -151,11 +158,102 @@ class HorizonGroupPolicy:
 
     def _levels(self, state: FarmState, horizon: int) -> Array:
         """Return the counters [horizon, S] that the coming steps would credit if no UAV served anything."""
-        now, cycle = (state.vdf, state.cycles[0]) if self._kind == MONITORS else (state.aoi, state.cycles[1])
-        then = state.time + np.arange(horizon)[:, None]
-        rises = (then - self._phase) // cycle - (state.time - self._phase) // cycle
-        levels: Array = np.minimum(now + rises, self._most)
-        return levels
+        return coming_levels(state, self._kind, horizon)
+
+
+class MotionGroupPolicy:
+    """UAVs with inertia plan commands in turn, one per step, as `HorizonGroupPolicy` does places.
+
+    Args:
+        state: state at the start of the episode.
+        kind: the UAVs' type.
+        effort: size of the search.
+    """
+
+    def __init__(self, state: FarmState, kind: int, effort: Effort = MOTION_EFFORT) -> None:
+        config, world, dynamics = state.config, state.config.world, state.config.dynamics
+        self._kind, self._effort = kind, effort
+        own = step_reward(config, kind, effort.discount)
+        boundary = -config.reward.boundary
+        self._reward = Reward(own.unit, own.idle, own.risk, own.safety, boundary, own.discount)
+        self._inertia = Inertia(config, np.full(len(state.of(kind)), kind))
+        most, jerk, delay = (dynamics.of_types(name)[kind] for name in ("acceleration", "jerk", "delay"))
+        top = self._inertia.top[0]
+        size = (world.field_x, world.field_y)
+        self._limits = Limits(most, jerk, delay, float(top[0]), float(top[1]), world.step_seconds, *size)
+        if kind == MONITORS:
+            sure = max(1.0, constants(config).added.image_sure)
+            self._sites = make_sites(plot_centres(world), size, np.ones(2), sure)
+        else:
+            far = radio_range(config, FAINT)
+            chance = packet_chances(config, np.sqrt(np.linspace(0.0, far * far, PIECES + 1)))
+            self._sites = make_sites(state.layout.sensor_xy, size, chance, max(1.0, far * far))
+        self._barred = barred_cells(state)
+        self._commands: list[Array] = [np.zeros((0, 2))] * len(state.of(kind))
+        self._places = list(self._commands)
+
+    def goals(self, state: FarmState) -> Array:
+        """Return where each UAV would stop after the next command of its plan, [n_v, 2] m; steering finds it again."""
+        count = len(self._commands)
+        self._commands = [plan[1:] for plan in self._commands]
+        self._places = [plan[1:] for plan in self._places]
+        for uav in range(count):
+            if state.time % count == uav or len(self._commands[uav]) == 0:
+                self._plan(state, uav)
+        motion = state.motion[state.agents[self._kind]]
+        way = self._inertia.stopping_way(motion, np.stack([plan[0] for plan in self._commands]))
+        return np.asarray(state.of(self._kind) + way)
+
+    def _plan(self, state: FarmState, uav: int) -> None:
+        """Plan a UAV's commands anew."""
+        ahead, effort = state.config.world.steps - state.time, self._effort
+        late = ahead <= LAST
+        most, width = (effort.last_horizon, effort.last_width) if late else (effort.horizon, effort.width)
+        horizon = max(1, min(most, ahead))
+        position = state.of(self._kind)
+        others = np.empty((horizon + 1, len(position) - 1, 2))
+        for column, other in enumerate(np.flatnonzero(np.arange(len(position)) != uav)):
+            plan = self._places[other][:horizon]
+            others[0, column] = position[other]
+            others[1 : 1 + len(plan), column] = plan
+            others[1 + len(plan) :, column] = others[len(plan), column]
+        rest = [plan for index, plan in enumerate(self._places) if index != uav]
+        self._commands[uav], self._places[uav] = best_commands(
+            self._sites,
+            self._limits,
+            self._reward,
+            position[uav],
+            state.motion[state.agents[self._kind]][uav],
+            coming_levels(state, self._kind, horizon),
+            np.concatenate([*rest, np.zeros((0, 2))]),
+            others,
+            self._barred,
+            width,
+            effort.same,
+        )
+
+
+def barred_cells(state: FarmState) -> Flags:
+    """Return the cells of the search in which zones lie, [columns, rows]; none without zones."""
+    if not state.layout.zones:
+        return np.zeros((0, 0), np.bool_)
+    world = state.config.world
+    counts = [max(1, int(side / CELL)) for side in (world.field_x, world.field_y)]
+    x, y = ((np.arange(n) + 0.5) * side / n for n, side in zip(counts, (world.field_x, world.field_y), strict=True))
+    return airspace_of(state.config, state.layout).inside(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+
+
+def coming_levels(state: FarmState, kind: int, horizon: int) -> Array:
+    """Return the counters [horizon, S] of plots or sensors that the coming steps would credit if nothing was served."""
+    world, layout = state.config.world, state.layout
+    if kind == MONITORS:
+        now, cycle, phase, most = state.vdf, state.cycles[0], layout.plot_phase.reshape(-1), world.vdf_max
+    else:
+        now, cycle, phase, most = state.aoi, state.cycles[1], layout.sensor_phase, world.aoi_max
+    then = state.time + np.arange(horizon)[:, None]
+    rises = (then - phase) // cycle - (state.time - phase) // cycle
+    levels: Array = np.minimum(now + rises, float(most))
+    return levels
 
 
 def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:

@@ -3,12 +3,14 @@
 Source: boustrophedon coverage (Choset and Pignon 1998) over a partition of the field.
 """
 
+import functools
 from typing import Final
 
 import numpy as np
 
-from eia_sec.common.config import WorldConfig
+from eia_sec.common.config import FarmConfig, WorldConfig
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.inertia import Inertia
 from eia_sec.rollout.heuristics.tasks.tour_follower import TourFollower
 from eia_sec.rollout.sim.boxes import Array
 from eia_sec.rollout.sim.sweep_routes import Block, divided, shortest, sweep_routes
@@ -22,8 +24,12 @@ ARRIVED: Final = 0.5
 
 
 def monitors(state: FarmState) -> GroupPolicy:
-    """Return monitors that weave along lanes of LANE_PLOTS plots."""
-    return TourFollower(sweep_routes(state.config), MONITORS, state)
+    """Return monitors that weave along lanes of LANE_PLOTS plots, or with inertia fly straight over each column."""
+    return (
+        StraightSweep(state)
+        if state.config.dynamics.inertial
+        else TourFollower(sweep_routes(state.config), MONITORS, state)
+    )
 
 
 def collectors(state: FarmState) -> GroupPolicy:
@@ -40,6 +46,61 @@ def collection_routes(world: WorldConfig) -> list[Array]:
         for blocks in divided(world.collection_uavs, columns, rows)
     ]
     return shortest(divisions, world)
+
+
+class StraightSweep(TourFollower):
+    """Monitors with inertia, at the highest speed at which a whole number of steps takes a plot.
+
+    A faster step would end beside the middles of some plots, where images fail.
+
+    Args:
+        state: state at the start of the episode.
+    """
+
+    def __init__(self, state: FarmState) -> None:
+        super().__init__(straight_routes(state.config), MONITORS, state)
+        world = state.config.world
+        self._inertia = Inertia(state.config, np.full(len(state.of(MONITORS)), MONITORS))
+        plot = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+        steps = np.ceil(plot / (self._inertia.top[0] * world.step_seconds))
+        self._speed = np.broadcast_to(plot / (steps * world.step_seconds), self._inertia.top.shape)
+
+    def goals(self, state: FarmState) -> Array:
+        """Return each UAV's place on its route, or where it would stop if it went on at this speed: [n_v, 2] m."""
+        position, motion = state.of(MONITORS), state.motion[state.agents[MONITORS]]
+        back, on = (self._inertia.stopping_way(motion, speed) for speed in (-self._speed, self._speed))
+        return np.asarray(position + np.clip(super().goals(state) - position, back, on))
+
+
+@functools.lru_cache(maxsize=64)
+def straight_routes(config: FarmConfig) -> list[Array]:
+    """Return the boxes around the turning points of each monitor's lanes, [2, L, 2] m each, one over each column.
+
+    The field is divided so that the longest lap takes the least time with all its turns.
+    """
+    world = config.world
+    divisions = [
+        [_columns(block, world) for block in blocks]
+        for blocks in divided(world.monitoring_uavs, world.plots_x, world.plots_y)
+    ]
+    return min(divisions, key=lambda routes: max(lap_seconds(route, config) for route in routes))
+
+
+def _columns(block: Block, world: WorldConfig) -> Array:
+    """Return boxes around the middles of the first and the last plot of each column of a block."""
+    first, last, low, high = block
+    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+    rows = [(low, high - 1), (high - 1, low)]
+    ends = [(column, row) for number, column in enumerate(range(first, last)) for row in rows[number % 2]]
+    place = (np.array(ends) + 0.5) * size
+    return np.stack([place - ARRIVED, place + ARRIVED])
+
+
+def lap_seconds(route: Array, config: FarmConfig) -> float:
+    """Return the time of a lap of a monitor that stands at every box of a route [2, L, 2]."""
+    place = route.mean(axis=0)
+    inertia = Inertia(config, np.array([MONITORS]))
+    return float(inertia.seconds_for(np.roll(place, -1, axis=0) - place).sum())
 
 
 def _lanes(block: Block, cell: Array) -> Array:

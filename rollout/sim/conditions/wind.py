@@ -20,8 +20,8 @@ def wind_series(config: FarmConfig, farm_seed: int, episode_seed: int) -> Array:
     """Return the wind along x and y, [steps + 1, 2] m/s; row k blows during step k, row 0 before the first.
 
     A steady wind, and gusts along each axis: a first-order autoregressive process, the sampled Ornstein-Uhlenbeck
-    process, which begins in its stationary distribution. Along an axis the wind never exceeds the UAVs' top speed, so
-    that every UAV can hold its place.
+    process, which begins in its stationary distribution. Along an axis the wind never exceeds the UAVs' top speed
+    through the air, so that every UAV can hold its place.
 
     Returns:
         no rows if there is no wind.
@@ -39,6 +39,8 @@ def wind_series(config: FarmConfig, farm_seed: int, episode_seed: int) -> Array:
     shocks = wind.gusts * random.standard_normal((world.steps + 1, 2))
     shocks[1:] *= math.sqrt(1.0 - kept * kept)
     top = np.array([world.speed_x_max, world.speed_y_max])
+    if config.dynamics.inertial:
+        top = np.minimum(top, min(config.dynamics.airspeed))
     blown: Array = np.clip(steady + lfilter([1.0], [1.0, -kept], shocks, axis=0), -top, top)
     return blown
 

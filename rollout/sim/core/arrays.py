@@ -29,6 +29,7 @@ class Farm(NamedTuple):
     key: Annotated[NDArray[np.uint64], "1", "packet key of the episode, see `start.packet_key`"]
     time: Annotated[Indices, "1", "steps done; -1 before the first reset"]
     position: Annotated[Array, "n 2", "m"]
+    motion: Annotated[Array, "n_inertial 6", "velocity, acceleration and last command, see `core.dynamics`"]
     direction: Annotated[Array, "n 2", "current D_VDF and D_AoI"]
     assignment: Annotated[Indices, "served", "relay of each served UAV"]
     service: Annotated[Array, "n_c", "D_c, m"]
@@ -177,6 +178,7 @@ def axis_sizes(config: FarmConfig, numbers: Constants, hindsight: bool) -> Mappi
         "tracked_plots": hindsight * world.plots_x * world.plots_y,
         "tracked_sensors": hindsight * world.sensors,
         "tracked_steps": hindsight * world.steps,
+        "n_inertial": config.dynamics.inertial * world.uavs,
         "n_lost": config.loses_uavs * world.uavs,
         "n_charged": config.battery.some * world.uavs,
         "patches": stress.patches,

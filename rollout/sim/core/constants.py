@@ -11,6 +11,7 @@ from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_team
 from eia_sec.rollout.sim.conditions.ways import WayConstants, way_constants
 from eia_sec.rollout.sim.core.cells import cell_counts
+from eia_sec.rollout.sim.core.dynamics import DynamicsConstants, dynamics_constants
 from eia_sec.rollout.sim.core.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from eia_sec.rollout.sim.core.records import NUMBERS, Array, Indices, numbers
 from eia_sec.rollout.sim.observation.constants import ViewConstants, view_constants
@@ -60,6 +61,8 @@ class FlightConstants(NamedTuple):
     hover: Annotated[float, "printed hover power, W"]
     c1: Annotated[float, "drag coefficient of the printed model, W s^2/m^2"]
     c2: Annotated[float, "coefficient of the printed model, W m/s"]
+    mass: Annotated[float, "m, kg"]
+    gravity: Annotated[float, "g, m/s^2"]
     weight: Annotated[float, "m g, N"]
     efficiency: Annotated[float, "eta"]
     induced: Annotated[float, "(m g) / (2 rho A_disk), the square of the induced speed when hovering, m^2/s^2"]
@@ -143,6 +146,7 @@ class Constants(NamedTuple):
     added: ViewConstants
     plans: PlanConstants
     ways: WayConstants
+    dynamics: DynamicsConstants
     seen: ObservationConfig
     stress: StressConfig
     battery: BatteryConfig
@@ -166,6 +170,7 @@ def constants(config: FarmConfig) -> Constants:
         view_constants(config, radio),
         plan_constants(config, radio, camera.reach),
         way_constants(config),
+        dynamics_constants(config),
     )
     sections = (config.observation, config.stress, config.battery)
     return Constants(*(_cast(part) for part in derived), *(numbers(section) for section in sections))
@@ -235,6 +240,8 @@ def _flight(config: FarmConfig) -> FlightConstants:
         hover=energy.mass * energy.gravity**1.5 / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency),
         c1=0.5 * energy.air_density * area * energy.drag_coefficient,
         c2=energy.mass**2 / (energy.efficiency * energy.air_density * disk),
+        mass=energy.mass,
+        gravity=energy.gravity,
         weight=energy.mass * energy.gravity,
         efficiency=energy.efficiency,
         induced=energy.mass * energy.gravity / (2.0 * energy.air_density * disk),

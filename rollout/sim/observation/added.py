@@ -14,6 +14,7 @@ from eia_sec.rollout.sim.core.constants import Constants
 from eia_sec.rollout.sim.core.records import Float32
 from eia_sec.rollout.sim.observation.constants import ViewConstants
 from eia_sec.rollout.sim.observation.fields import put_field, share_points, weigh_points
+from eia_sec.rollout.sim.observation.inertia import put_motion
 from eia_sec.rollout.sim.observation.maps import put_cells, put_plots
 from eia_sec.rollout.sim.observation.peers import find_near, put_peers, put_risk
 from eia_sec.rollout.sim.observation.places import find_places
@@ -47,9 +48,9 @@ def prepare_views(c: Constants, farm: Farm, s: Scratch) -> None:
 
 
 @inlined
-def _put_others(c: Constants, s: Scratch, u: int, first: int, last: int, tasks: bool, seen: Float32, at: int) -> int:
-    """Write `peers`, `last_move` and, for UAVs with tasks, `closing`; return where they end."""
-    fleet, view, v = c.fleet, c.added, s.added
+def _put_others(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, first: int, last: int, at: int) -> int:
+    """Write `peers`, `last_move`, the motion and, for UAVs with tasks, `closing`; return where they end."""
+    fleet, view, v, seen, tasks = c.fleet, c.added, s.added, farm.observation, kind > 0
     sx, sy, found = v.sign[u, 0], v.sign[u, 1], 0
     closing = c.seen.closing and tasks
     if c.seen.peers > 0 or closing:
@@ -59,9 +60,28 @@ def _put_others(c: Constants, s: Scratch, u: int, first: int, last: int, tasks: 
     if c.seen.last_move:
         seen[at], seen[at + 1] = sx * v.velocity[u, 0], sy * v.velocity[u, 1]
         at += 2
+    if c.dynamics.some:
+        at = put_motion(
+            fleet,
+            c.dynamics,
+            kind,
+            view.stop_scale[kind],
+            farm.motion[u],
+            s.x[u],
+            s.y[u],
+            sx,
+            sy,
+            v.stop_x[u],
+            v.stop_y[u],
+            farm.zone_side,
+            farm.zone_box,
+            seen,
+            at,
+        )
     if closing:
         at = put_risk(
             fleet,
+            view.per_hold,
             view.danger_square,
             view.step_x,
             view.step_y,
@@ -125,7 +145,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
     fleet, view, v, seen = c.fleet, c.added, s.added, farm.observation
     _find_stopped(c, farm, s, u)
-    at = _put_others(c, s, u, 0, fleet.relays, False, seen, at)
+    at = _put_others(c, farm, s, u, 0, 0, fleet.relays, at)
     if c.seen.phases:
         at = _put_left(fleet.steps - farm.time[0], seen, at)
     if c.seen.service:
@@ -158,16 +178,16 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     fleet, camera, view, v, seen, position = c.fleet, c.camera, c.added, s.added, farm.observation, farm.position
     sx, sy = v.sign[u, 0], v.sign[u, 1]
     _find_stopped(c, farm, s, u)
-    at = _put_others(c, s, u, fleet.relays, fleet.collectors, True, seen, at)
+    at = _put_others(c, farm, s, u, 1, fleet.relays, fleet.collectors, at)
     if c.seen.units > 0:
-        plan_images(fleet, camera, view, c.seen.units > 1, v, position, farm.level, u)
-        at = put_units(c.seen.units > 1, view.first, v, 1.0 / camera.level_max, seen, at)
+        plan_images(fleet, camera, view, c.dynamics.some, c.seen.units > 1, v, position, farm.level, u)
+        at = put_units(c.dynamics.some, c.seen.units > 1, view.first, v, 1.0 / camera.level_max, seen, at)
     planned = sees_plans(c.seen.route, c.plans.steps, fleet.steps - farm.time[0])
     if c.plans.steps > 0:
         at = put_monitor_plan(c, farm, s, u, at) if planned else see_nothing(NUMBERS, seen, at)
     if c.seen.fields:
         x, y = position[u, 0], position[u, 1]
-        per_reach = 1.0 / (view.step_x + view.step_y)
+        per_reach = view.per_hold / (view.step_x + view.step_y)
         at = put_field(
             fleet,
             x,
@@ -216,12 +236,13 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     fleet, what, view, v, seen, position = c.fleet, c.observation, c.added, s.added, farm.observation, farm.position
     x, y, sx, sy = position[u, 0], position[u, 1], v.sign[u, 0], v.sign[u, 1]
     _find_stopped(c, farm, s, u)
-    at = _put_others(c, s, u, fleet.collectors, fleet.uavs, True, seen, at)
+    at = _put_others(c, farm, s, u, 2, fleet.collectors, fleet.uavs, at)
     if c.seen.units > 0:
         plan_packets(
             fleet,
             what,
             view,
+            c.dynamics.some,
             c.seen.units > 1,
             v,
             position,
@@ -232,11 +253,11 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             s.square,
             u,
         )
-        at = put_units(c.seen.units > 1, view.first, v, 0.5 / c.radio.level_max, seen, at)
+        at = put_units(c.dynamics.some, c.seen.units > 1, view.first, v, 0.5 / c.radio.level_max, seen, at)
     if c.plans.steps > 0:
         at = put_collector_plan(c, farm, s, u, at)
     if c.seen.fields:
-        per_reach = 1.0 / (view.step_x + view.step_y)
+        per_reach = view.per_hold / (view.step_x + view.step_y)
         at = put_field(
             fleet,
             x,

@@ -5,6 +5,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 
 from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.farm_observation import HOLD
 from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.core.records import Array, Flags, Float32, Indices, Int32, make_record
 
@@ -44,6 +45,10 @@ class ViewScratch(NamedTuple):
     sign: Annotated[Array, "n 2", "signs of the UAVs' axes"]
     go_x: Annotated[Array, "n 3", "x after a move back, none and on along the UAV's own axis, m"]
     go_y: Annotated[Array, "n 3", "the same along y, m"]
+    path_x: Annotated[Array, "n ahead 3", "x after each step of these moves, where they are held; see `inertia`"]
+    path_y: Annotated[Array, "n ahead 3", "the same along y, m"]
+    stop_x: Annotated[Array, "n 3", "x where a UAV could stop after a step of them, m"]
+    stop_y: Annotated[Array, "n 3", "the same along y, m"]
     stopped: Annotated[Flags, "9", "whether a zone would refuse each move"]
     ends: Annotated[Int32, "9", "lattice points in whose cells the moves end, where zones are"]
     away: Annotated[
@@ -77,9 +82,11 @@ class ViewScratch(NamedTuple):
 
 def make_view_scratch(config: FarmConfig) -> ViewScratch:
     """Allocate the working memory of the added observations."""
-    world, places = config.world, _filled(9 + TWO_MOVES * (config.observation.units > 1))
+    world, two = config.world, config.observation.units > 1
+    ahead = config.dynamics.inertial * HOLD * (1 + two)
+    places = _filled(9 * ahead if ahead else 9 + TWO_MOVES * two)
     plots, cells = _field(world, world.plots_x, world.plots_y), _field(world, *cell_counts(world))
-    return make_record(ViewScratch, {"n": world.uavs, "places": places}, plots=plots, cells=cells)
+    return make_record(ViewScratch, {"n": world.uavs, "places": places, "ahead": ahead}, plots=plots, cells=cells)
 
 
 def _filled(count: int) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
-from eia_sec.common.farm_observation import field_range
+from eia_sec.common.farm_observation import HOLD, farthest_stop, field_range
 from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.core.link import RadioConstants, chance_at, reach_of
 from eia_sec.rollout.sim.core.records import Array, Indices
@@ -45,8 +45,9 @@ class ViewConstants(NamedTuple):
     collection_inset: Annotated[float, "the same for data collection UAVs"]
     step_x: Annotated[float, "the same along x, m"]
     step_y: Annotated[float, "the same along y, m"]
-    per_step: Annotated[float, "1 / length of a step at full speed along both axes, 1/m"]
-    danger_square: Annotated[float, "square of the distance from which two UAVs risk nothing in the next step, m^2"]
+    per_hold: Annotated[float, "1 / steps of a move"]
+    per_step: Annotated[float, "1 / length of a move at full speed along both axes, 1/m"]
+    danger_square: Annotated[float, "square of the distance from which two UAVs risk nothing in a move, m^2"]
     first: Annotated[int, "number of the first place one move away in a plan"]
     image_sure: Annotated[
         float,
@@ -65,6 +66,7 @@ class ViewConstants(NamedTuple):
     plots_y: Annotated[Array, "[2, n_py] the same along y"]
     cells_x: Annotated[Array, "[2, cells_x] the same of the sensor cells"]
     cells_y: Annotated[Array, "[2, cells_y] the same along y"]
+    stop_scale: Annotated[Array, "[3] longest way in which a UAV of each type stops, m"]
     age_cycles: Annotated[Array, "[I_type] T_UA of each sensor type, steps"]
     route_box: Annotated[
         Array,
@@ -81,10 +83,11 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
+    hold = float(HOLD if config.dynamics.inertial else 1)
     sure, most = image_bounds(config)
     boxes, plots, starts = flat_routes(config)
     return ViewConstants(
-        some=seen.added or config.loses_in_flight,
+        some=seen.added or config.loses_in_flight or config.dynamics.inertial,
         alive=config.loses_in_flight,
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),
@@ -96,9 +99,10 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
         collection_inset=inset_of(config, COLLECTION),
         step_x=step_x,
         step_y=step_y,
-        per_step=1.0 / math.hypot(step_x, step_y),
-        danger_square=(1.000001 * (world.safety_distance + 2.0 * math.hypot(step_x, step_y))) ** 2,
-        first=TWO_MOVES if seen.units > 1 else 0,
+        per_hold=1.0 / hold,
+        per_step=1.0 / (hold * math.hypot(step_x, step_y)),
+        danger_square=(1.000001 * (world.safety_distance + 2.0 * hold * math.hypot(step_x, step_y))) ** 2,
+        first=TWO_MOVES if seen.units > 1 and not config.dynamics.inertial else 0,
         image_sure=sure,
         image_limit=most,
         image_reach=min(math.sqrt(max(most, 0.0)), math.hypot(world.field_x, world.field_y)),
@@ -110,6 +114,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
         plots_y=_exponentials(world.field_y, world.plots_y, width),
         cells_x=_exponentials(world.field_x, cells[0], width),
         cells_y=_exponentials(world.field_y, cells[1], width),
+        stop_scale=np.array([farthest_stop(config.dynamics, kind) for kind in range(3)]),
         age_cycles=np.rint(np.array(world.sensor_cycles, np.float64) / world.step_seconds),
         route_box=boxes,
         route_plot=plots,

@@ -84,6 +84,7 @@ def _add_risk(
 @allocation_free
 def put_risk(
     fleet: FleetConstants,
+    per_hold: float,
     danger_square: float,
     step_x: float,
     step_y: float,
@@ -113,10 +114,10 @@ def put_risk(
         for move in range(9):
             goal_x, goal_y = go_x[other, move // 3], go_y[other, move % 3]
             _add_risk(fleet.safety, apart, go_x[u], go_y[u], goal_x, goal_y, 1.0 / 9.0, risk[0])
-        goal_x = min(fleet.width, max(0.0, x[other] + velocity[other, 0] * step_x))
-        goal_y = min(fleet.depth, max(0.0, y[other] + velocity[other, 1] * step_y))
+        goal_x = min(fleet.width, max(0.0, x[other] + velocity[other, 0] * step_x / per_hold))
+        goal_y = min(fleet.depth, max(0.0, y[other] + velocity[other, 1] * step_y / per_hold))
         _add_risk(fleet.safety, apart, go_x[u], go_y[u], goal_x, goal_y, 1.0, risk[1])
-    per_safety = 1.0 / fleet.safety
+    per_safety = per_hold / fleet.safety
     for row in range(2):
         for move in range(9):
             seen[at + 9 * row + move] = risk[row, move] * per_safety

@@ -2,7 +2,7 @@
 
 A relay's move is at full speed along each axis, and ends at the field's border. That of any other UAV leads to a
 neighbouring lattice point, or only so far into its cell as the inset says, as far as a step at full speed goes. This is
-`Lattice.adapt` and the flight after it, so that the place is the very one.
+`Lattice.adapt` and the flight after it, so that the place is the very one. With inertia `inertia` says where they lead.
 """
 
 import numpy as np
@@ -11,8 +11,11 @@ from eia_sec.rollout.sim.core.arrays import Farm, Scratch
 from eia_sec.rollout.sim.core.axes import along_side, in_field, in_plot, sign_of
 from eia_sec.rollout.sim.core.compile import allocation_free, inlined
 from eia_sec.rollout.sim.core.constants import Constants
+from eia_sec.rollout.sim.core.dynamics import VELOCITY
 from eia_sec.rollout.sim.core.lattice import cell_at, cell_beside, share_of, velocity_to
+from eia_sec.rollout.sim.core.planes import kind_of
 from eia_sec.rollout.sim.core.records import Array, Indices
+from eia_sec.rollout.sim.observation.inertia import hold_moves
 
 
 @allocation_free
@@ -60,12 +63,45 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
             continue
         x, y = position[u, 0], position[u, 1]
         velocity[u, 0], velocity[u, 1] = (x - previous[u, 0]) / view.step_x, (y - previous[u, 1]) / view.step_y
+        if c.dynamics.some:
+            velocity[u, 0] = farm.motion[u, VELOCITY] / fleet.speed_x
+            velocity[u, 1] = farm.motion[u, VELOCITY + 1] / fleet.speed_y
         across, along = in_field(fleet, position, u)
         if fleet.relays <= u < fleet.collectors:
             _, _, across, along = in_plot(camera, position, u)
         sx, sy = sign_of(what, across), sign_of(what, along)
         sign[u, 0], sign[u, 1] = sx, sy
-        if u < fleet.relays:
+        if c.dynamics.some:
+            d, v, kind = c.dynamics, s.added, kind_of(fleet, u)
+            hold_moves(
+                d,
+                kind,
+                farm.motion[u],
+                0,
+                sx,
+                min(fleet.speed_x, d.speed[kind]),
+                x,
+                fleet.width,
+                fleet.seconds,
+                v.path_x[u],
+                go_x[u],
+                v.stop_x[u],
+            )
+            hold_moves(
+                d,
+                kind,
+                farm.motion[u],
+                1,
+                sy,
+                min(fleet.speed_y, d.speed[kind]),
+                y,
+                fleet.depth,
+                fleet.seconds,
+                v.path_y[u],
+                go_y[u],
+                v.stop_y[u],
+            )
+        elif u < fleet.relays:
             for move in range(3):
                 go_x[u, move] = min(fleet.width, max(0.0, x + sx * (move - 1) * view.step_x))
                 go_y[u, move] = min(fleet.depth, max(0.0, y + sy * (move - 1) * view.step_y))

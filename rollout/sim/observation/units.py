@@ -2,12 +2,15 @@
 
 A plan holds the 25 lattice points two moves away and then the nine places one move away, or only the latter. An item, a
 plot or a sensor, gives each place a share of its counter. What the first move takes is not there for the second.
+
+With inertia a plan holds the places after each step of nine velocities that are held (`inertia`), nine for each step,
+and an item counts once on each way.
 """
 
 import math
 from typing import Final
 
-from eia_sec.common.farm_observation import MOST_UNITS
+from eia_sec.common.farm_observation import HOLD, MOST_UNITS
 from eia_sec.rollout.sim.core.camera import plot_quality, span
 from eia_sec.rollout.sim.core.compile import allocation_free, inlined
 from eia_sec.rollout.sim.core.constants import CameraConstants, FleetConstants, ObservationConstants
@@ -24,7 +27,7 @@ BELOW: Final = 1.0 - 2.0**-53
 
 @inlined
 def begin_plan(
-    fleet: FleetConstants, view: ViewConstants, two: bool, v: ViewScratch, x: float, y: float, u: int
+    fleet: FleetConstants, view: ViewConstants, held: bool, two: bool, v: ViewScratch, x: float, y: float, u: int
 ) -> tuple[float, float, float, float]:
     """Write the places of a UAV's plan and forget the last one's gains.
 
@@ -33,6 +36,14 @@ def begin_plan(
     """
     place_x, place_y, far_x, far_y = v.place_x, v.place_y, v.far[0], v.far[1]
     place_x[:], place_y[:], v.gain[:], v.twice[:, :] = x, y, 0.0, 0.0
+    if held:
+        path_x, path_y = v.path_x[u], v.path_y[u]
+        for step in range(len(path_x)):
+            for move in range(9):
+                place_x[9 * step + move], place_y[9 * step + move] = path_x[step, move // 3], path_y[step, move % 3]
+        west, east = _stretch(x, path_x)
+        south, north = _stretch(y, path_y)
+        return west, east, south, north
     if two:
         go_twice(x, v.sign[u, 0], fleet.width, fleet.per_width, view.columns, far_x, v.after[0])
         go_twice(y, v.sign[u, 1], fleet.depth, fleet.per_depth, view.rows, far_y, v.after[1])
@@ -50,6 +61,30 @@ def _ends(x: float, go: Array, far: Array, two: bool) -> tuple[float, float]:
     """Return the least and the largest place of a plan along an axis, m."""
     low, high = min(x, go[0], go[2]), max(x, go[0], go[2])
     return (min(low, far[0], far[4]), max(high, far[0], far[4])) if two else (low, high)
+
+
+@allocation_free
+def _stretch(x: float, path: Array) -> tuple[float, float]:
+    """Return the least and the largest place along an axis of moves that are held, m."""
+    low, high = x, x
+    for step in range(len(path)):
+        for move in range(3):
+            low, high = min(low, path[step, move]), max(high, path[step, move])
+    return low, high
+
+
+@allocation_free
+def _add_passed(worth: float, chance: Array, gain: Array) -> None:
+    """Add an item's units to each move that is held for HOLD steps, and twice as long: the first and the next nine."""
+    for move in range(9):
+        missed = 1.0
+        for step in range(HOLD):
+            missed *= 1.0 - chance[9 * step + move]
+        gain[move] += worth * (1.0 - missed)
+        if len(chance) > 9 * 2 * HOLD - 1:
+            for step in range(HOLD, 2 * HOLD):
+                missed *= 1.0 - chance[9 * step + move]
+            gain[9 + move] += worth * (1.0 - missed)
 
 
 @allocation_free
@@ -107,6 +142,7 @@ def plan_images(
     fleet: FleetConstants,
     camera: CameraConstants,
     view: ViewConstants,
+    held: bool,
     two: bool,
     v: ViewScratch,
     position: Array,
@@ -114,7 +150,7 @@ def plan_images(
     u: int,
 ) -> None:
     """Add the VDF of the plots whose image would succeed from each place, the other UAVs being where they are."""
-    bounds = begin_plan(fleet, view, two, v, position[u, 0], position[u, 1], u)
+    bounds = begin_plan(fleet, view, held, two, v, position[u, 0], position[u, 1], u)
     left, _ = span(bounds[0], view.image_reach, camera.plot_width, camera.plots_x)
     _, right = span(bounds[1], view.image_reach, camera.plot_width, camera.plots_x)
     low, _ = span(bounds[2], view.image_reach, camera.plot_depth, camera.plots_y)
@@ -129,7 +165,10 @@ def plan_images(
                 continue
             _measure(v.place_x, v.place_y, x, y, limit, v.square)
             if _see_plot(camera, view.image_sure, v.place_x, v.place_y, v.square, column, row, v.chance):
-                _add_item(two, view.first, level[column, row], v.chance, v.gain, v.after[0], v.twice)
+                if held:
+                    _add_passed(level[column, row], v.chance, v.gain)
+                else:
+                    _add_item(two, view.first, level[column, row], v.chance, v.gain, v.after[0], v.twice)
 
 
 @allocation_free
@@ -168,6 +207,7 @@ def plan_packets(
     fleet: FleetConstants,
     seen: ObservationConstants,
     view: ViewConstants,
+    held: bool,
     two: bool,
     v: ViewScratch,
     position: Array,
@@ -180,7 +220,7 @@ def plan_packets(
 ) -> None:
     """Add the AoI that is expected to arrive at each place, the other UAVs being where they are."""
     x, y = position[u, 0], position[u, 1]
-    bounds = begin_plan(fleet, view, two, v, x, y, u)
+    bounds = begin_plan(fleet, view, held, two, v, x, y, u)
     wide, deep = max(bounds[1] - x, x - bounds[0]), max(bounds[3] - y, y - bounds[2])
     reach = 1.000001 * (math.sqrt(view.chance_limit) + math.sqrt(wide * wide + deep * deep))
     block = block_around(fleet, seen, x, y, reach)
@@ -192,7 +232,10 @@ def plan_packets(
         if _beyond(bounds, own_x, own_y) <= limit:
             _measure(v.place_x, v.place_y, own_x, own_y, limit, v.square)
             _hear_sensor(view.chance, view.chance_scale, view.chance_limit, v.square, v.chance)
-            _add_item(two, view.first, age[j], v.chance, v.gain, v.after[0], v.twice)
+            if held:
+                _add_passed(age[j], v.chance, v.gain)
+            else:
+                _add_item(two, view.first, age[j], v.chance, v.gain, v.after[0], v.twice)
 
 
 @allocation_free
@@ -207,13 +250,20 @@ def _hear_sensor(table: Array, scale: float, limit: float, square: Array, chance
 
 
 @allocation_free
-def put_units(two: bool, first: int, v: ViewScratch, per_unit: float, out: Float32, at: int) -> int:
-    """Write the units of each move over their scale, then the best of each move and another; return where they end."""
+def put_units(held: bool, two: bool, first: int, v: ViewScratch, per_unit: float, out: Float32, at: int) -> int:
+    """Write the units of each move over their scale, then the best of each move and another; return where they end.
+
+    Of moves that are held, the latter are those of twice as many steps.
+    """
     gain, twice, after_x, after_y = v.gain, v.twice, v.after[0], v.after[1]
     for move in range(9):
         out[at + move] = min(MOST_UNITS, gain[first + move] * per_unit)
     at += 9
-    if two:
+    if two and held:
+        for move in range(9):
+            out[at + move] = min(2.0 * MOST_UNITS, gain[9 + move] * per_unit)
+        at += 9
+    elif two:
         for move in range(9):
             best, start = 0.0, _first_after(after_x, move)
             for then in range(9):

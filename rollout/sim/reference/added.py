@@ -5,6 +5,7 @@ They share with the kernel the table of delivery probabilities and the constants
 
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from eia_sec.common.actions.adapters import MirroredAxes, NineMoves
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
-from eia_sec.common.farm_observation import FIELD_SCALE, MOST_UNITS, field_range
+from eia_sec.common.farm_observation import FIELD_SCALE, HOLD, MOST_UNITS, field_range
 from eia_sec.rollout.sim.core.link import radio_constants
 from eia_sec.rollout.sim.observation.constants import PIECES, RATIO, chance_table
 from eia_sec.rollout.sim.observation.fields import FLOOR
@@ -20,6 +21,7 @@ from eia_sec.rollout.sim.observation.routes import STAY
 from eia_sec.rollout.sim.reference.airspace import airspace_view
 from eia_sec.rollout.sim.reference.axes import place_of, signs_of
 from eia_sec.rollout.sim.reference.battery import charge_view
+from eia_sec.rollout.sim.reference.dynamics import held_places, motion_view
 from eia_sec.rollout.sim.reference.links import link_view, links_view
 from eia_sec.rollout.sim.reference.plans import plan_view, plans, worths
 from eia_sec.rollout.sim.reference.routes import route_view
@@ -37,6 +39,7 @@ def added_view(farm: FarmState, u: int, signs: Array) -> Array:
     worth = worths(farm, u, signs, places(farm, u)) if kind else np.zeros(9)
     parts = [_peers(farm, u, signs)]
     parts += [velocity(farm, u) * signs] if seen.last_move else []
+    parts += [motion_view(farm, u, signs, MOVES)] if farm.config.dynamics.inertial else []
     if kind > 0:
         parts += [_risk(farm, u)] if seen.closing else []
         parts += [_units(farm, u, signs)] if seen.units else []
@@ -75,7 +78,9 @@ def _world(farm: FarmState) -> tuple[Array, Array]:
 
 
 def velocity(farm: FarmState, u: int) -> Array:
-    """Return a UAV's last velocity [2] as a share of full speed."""
+    """Return a UAV's last velocity [2] as a share of full speed; with inertia, the present one."""
+    if farm.config.dynamics.inertial:
+        return np.asarray(farm.velocity[u] / (_world(farm)[1] / farm.config.world.step_seconds))
     return np.asarray((farm.position[u] - farm.before[u]) / _world(farm)[1])
 
 
@@ -86,7 +91,12 @@ def nearest_of_type(farm: FarmState, u: int) -> list[int]:
 
 
 def places(farm: FarmState, u: int) -> Array:
-    """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step."""
+    """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step.
+
+    With inertia they are velocities that are held.
+    """
+    if farm.config.dynamics.inertial:
+        return held_places(farm, u, MOVES)
     world, signs, (size, _) = farm.config.world, signs_of(farm, u), _world(farm)
     own = (place_of(farm, u) * signs).astype(np.float32)
     inset = inset_of(farm.config, MONITORING if farm.kind[u] == 1 else COLLECTION)
@@ -98,6 +108,8 @@ def places(farm: FarmState, u: int) -> Array:
 
 def relay_places(farm: FarmState, u: int, signs: Array) -> Array:
     """Return where the nine moves of a relay lead, [9, 2] m: at full speed along each axis, up to the border."""
+    if farm.config.dynamics.inertial:
+        return held_places(farm, u, MOVES)
     size, step = _world(farm)
     return np.asarray(np.clip(farm.position[u] + MOVES * signs * step, 0.0, size))
 
@@ -115,14 +127,16 @@ def _peers(farm: FarmState, u: int, signs: Array) -> Array:
 
 def _risk(farm: FarmState, u: int) -> Array:
     """Return SR over d_safety of each move: mean over the peer's moves, then for a peer that keeps its velocity."""
-    safety, (size, step) = farm.config.world.safety_distance, _world(farm)
+    safety, (size, step) = farm.config.world.safety_distance * farm.move_steps, _world(farm)
     own, view = places(farm, u), np.zeros((2, 9))
     for other in nearest_of_type(farm, u)[:2]:
         now = math.sqrt(((farm.position[other] - farm.position[u]) ** 2).sum())
-        goes_on = np.clip(farm.position[other] + velocity(farm, other) * step, 0.0, size)
+        goes_on = np.clip(farm.position[other] + velocity(farm, other) * step * farm.move_steps, 0.0, size)
         for row, goals in enumerate((places(farm, other), goes_on[None])):
             then = np.sqrt(((own[:, None] - goals) ** 2).sum(axis=2))
-            view[row] += np.where(then < safety, np.maximum(0.0, now - then), 0.0).mean(axis=1)
+            view[row] += np.where(then < farm.config.world.safety_distance, np.maximum(0.0, now - then), 0.0).mean(
+                axis=1
+            )
     return view.reshape(-1) / safety
 
 
@@ -144,6 +158,10 @@ def _units(farm: FarmState, u: int, signs: Array) -> Array:
     bring, worth, scale = (
         (_images, farm.vdf.reshape(-1), world.vdf_max) if farm.kind[u] == 1 else (_packets, farm.aoi, 2 * world.aoi_max)
     )
+    if farm.config.dynamics.inertial:
+        most = np.repeat([MOST_UNITS, 2.0 * MOST_UNITS], 9)
+        passed = np.minimum(most, _passed(farm, u, bring) @ worth / scale)
+        return np.asarray(passed[: 9 * farm.config.observation.units])
     first = bring(farm, u, places(farm, u))
     view = [np.minimum(MOST_UNITS, first @ worth / scale)]
     if farm.config.observation.units > 1:
@@ -153,6 +171,15 @@ def _units(farm: FarmState, u: int, signs: Array) -> Array:
         best = np.einsum("mns,ms->mn", second, left).max(axis=1)
         view.append(np.minimum(2.0 * MOST_UNITS, (first @ worth + best) / scale))
     return np.concatenate(view)
+
+
+def _passed(farm: FarmState, u: int, bring: Callable[[FarmState, int, Array], Array]) -> Array:
+    """Return the share of each item that nine moves serve that are held for HOLD steps, and twice as long, [18, I]."""
+    missed, shares = np.ones(1), list[Array]()
+    for step in range(1, 2 * HOLD + 1):
+        missed = missed * (1.0 - bring(farm, u, held_places(farm, u, MOVES, step)))
+        shares.append(1.0 - missed)
+    return np.concatenate([shares[HOLD - 1], shares[-1]])
 
 
 def _own_points(farm: FarmState, u: int, where: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -217,7 +244,7 @@ def cell_sums(farm: FarmState) -> Array:
 def _fields(farm: FarmState, u: int) -> Array:
     """Return for both ranges how the field grows with each move, and its size here."""
     points, level = _field_points(farm, u)
-    step, goals = _world(farm)[1].sum(), np.concatenate([places(farm, u), farm.position[u][None]])
+    step, goals = _world(farm)[1].sum() * farm.move_steps, np.concatenate([places(farm, u), farm.position[u][None]])
     mates = farm.living(farm.kind[u])
     square = ((farm.position[mates][:, None] - points) ** 2).sum(axis=2)
     rank = np.flatnonzero(mates == u)[0]
@@ -270,6 +297,7 @@ def _phases(farm: FarmState, u: int) -> Array:
 def _service(farm: FarmState, u: int, signs: Array) -> Array:
     """Return D_c over the diagonal and its change over a diagonal step for each move at full speed."""
     size, step = _world(farm)
+    step = step * farm.move_steps
     here, now, view = farm.position[u].copy(), float(farm.service[u]), []
     for place in relay_places(farm, u, signs):
         farm.position[u] = place

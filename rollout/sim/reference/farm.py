@@ -19,8 +19,9 @@ from eia_sec.rollout.sim.core.relays import NO_LINK
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.reference.airspace import air_velocity, stopped
 from eia_sec.rollout.sim.reference.battery import use_charge
+from eia_sec.rollout.sim.reference.dynamics import glide, stop
 from eia_sec.rollout.sim.reference.links import joined_to_base, relayed
-from eia_sec.rollout.sim.reference.power import dbm_to_mw, other_power
+from eia_sec.rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
 from eia_sec.rollout.sim.reference.routes import advance, divide_again, first_sweep
 from eia_sec.rollout.sim.reference.state import Array, FarmState
 from eia_sec.rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
@@ -101,6 +102,7 @@ class ReferenceFarm(FarmState):
         self.key = packet_key(layout.seed, episode_seed)
         self.position = start_positions(world, layout.seed, episode_seed, layout.zones)
         self.before = self.position
+        self.velocity, self.acceleration, self.command = np.zeros((3, world.uavs, 2))
         self.wind = wind_series(config, layout.seed, episode_seed)
         self.failure = failure_steps(config, layout.seed, episode_seed)
         self.gone = np.zeros(world.uavs, bool)
@@ -137,17 +139,17 @@ class ReferenceFarm(FarmState):
         velocity[self.gone] = 0.0
         motivated = (velocity * self.direction).sum(axis=1) > 0
         self.before, service_before = self.position, self.service
-        air, ground = air_velocity(self, velocity)
-        ground = np.where(self.gone[:, None], 0.0, ground)
-        wanted = self.position + ground * world.step_seconds
+        payload = np.array([other_power(self.config.energy, k) for k in self.kind])
+        way, flight = self._fly(velocity)
+        wanted = self.position + np.where(self.gone[:, None], 0.0, way)
         inside = np.clip(wanted, 0.0, (world.field_x, world.field_y))
         refused = stopped(self, inside)
         self.position = np.where(refused[:, None], self.position, inside)
         self.outside = (inside != wanted).any(axis=1) | refused
-        power = [self.power(u, v) for u, v in enumerate(np.sqrt((air**2).sum(axis=1)))]
-        self.energy = np.where(self.gone, 0.0, np.array(power) * world.step_seconds)
+        stop(self, (inside != wanted) | refused[:, None])
+        self.energy = np.where(self.gone, 0.0, flight + payload * world.step_seconds)
         if self.config.battery.some:
-            use_charge(self, np.array([other_power(self.config.energy, k) for k in self.kind]))
+            use_charge(self, payload)
         self._assign(assignment)
         self.utility = np.zeros(world.uavs)
         self._photograph()
@@ -156,6 +158,14 @@ class ReferenceFarm(FarmState):
         find(self)
         advance(self)
         self._look()
+
+    def _fly(self, velocity: Array) -> tuple[Array, Array]:
+        """Return the ways [n, 2] m to which commanded velocities lead, and the energy of the flight [n] J."""
+        if self.config.dynamics.inertial:
+            return glide(self, velocity)
+        air, ground = air_velocity(self, velocity)
+        power = np.array([flight_power(self.config.energy, v) for v in np.sqrt((air**2).sum(axis=1))])
+        return ground * self.config.world.step_seconds, power * self.config.world.step_seconds
 
     def assignment_costs(self) -> Array:
         """Return the cost of each pair, [n_m + n_d, n_c] (W3)."""

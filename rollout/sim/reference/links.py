@@ -106,6 +106,6 @@ def _chain(farm: FarmState, u: int, signs: Array, goals: Array) -> Array:
 
 
 def _step(farm: FarmState) -> float:
-    """Return the length of a diagonal step at full speed, m."""
+    """Return the length of a diagonal move at full speed, m."""
     world = farm.config.world
-    return math.hypot(world.speed_x_max, world.speed_y_max) * world.step_seconds
+    return math.hypot(world.speed_x_max, world.speed_y_max) * world.step_seconds * farm.move_steps

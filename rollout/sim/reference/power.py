@@ -15,10 +15,10 @@ def dbm_to_mw(dbm: Array | float) -> Array:
     return np.asarray(10.0 ** (np.asarray(dbm) / 10.0))
 
 
-def flight_power(energy: EnergyConfig, speed: float) -> float:
-    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5)."""
+def flight_power(energy: EnergyConfig, speed: float, load: float = 1.0) -> float:
+    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5); the load multiplies m g."""
     disk = energy.propellers * math.pi * energy.propeller_radius**2
-    weight = energy.mass * energy.gravity
+    weight = load * energy.mass * energy.gravity
     if energy.model == "physical":
         hover_square = weight / (2.0 * energy.air_density * disk)
         induced = math.sqrt((math.sqrt(speed**4 + 4.0 * hover_square**2) - speed**2) / 2.0)
@@ -27,12 +27,13 @@ def flight_power(energy: EnergyConfig, speed: float) -> float:
     area = energy.body_area + disk
     if speed < energy.hover_speed:
         return (
-            energy.mass
+            math.pow(load, 1.5)
+            * energy.mass
             * math.pow(energy.gravity, 1.5)
             / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
         )
     c1 = 0.5 * energy.air_density * area * energy.drag_coefficient
-    c2 = energy.mass**2 / (energy.efficiency * energy.air_density * disk)
+    c2 = (load * energy.mass) ** 2 / (energy.efficiency * energy.air_density * disk)
     return c1 * speed**2 + c2 / speed + weight * speed
 
 

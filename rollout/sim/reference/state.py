@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
+from eia_sec.common.farm_observation import HOLD
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim.conditions.stress import Patches
 from eia_sec.rollout.sim.layout import Layout
@@ -34,6 +35,12 @@ class FarmState:
     """[n, 2] m."""
     before: Array
     """[n, 2] positions one step ago, m."""
+    velocity: Array
+    """[n, 2] m/s, where UAVs have inertia."""
+    acceleration: Array
+    """[n, 2] m/s^2."""
+    command: Array
+    """[n, 2] the velocity commanded last, m/s."""
     direction: Array
     """[n, 2] D_VDF, D_AoI."""
     aoi: Array
@@ -83,6 +90,11 @@ class FarmState:
     """[n] ACT of the last step."""
     observation: Float32
     """[O]."""
+
+    @property
+    def move_steps(self) -> int:
+        """Steps of a move: with inertia it is a velocity that is held."""
+        return HOLD if self.config.dynamics.inertial else 1
 
     def power(self, u: int, speed: float) -> float:
         """Return what a UAV needs at a speed, W."""

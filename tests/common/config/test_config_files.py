@@ -101,6 +101,10 @@ REFUSED = [
         "[farm.world]\nsensor_cycles = [1.5]",
         "farm.world.sensor_cycles must be a list of whole numbers, not [1.5].",
     ),
+    (
+        '[farm.dynamics]\njerk = [4, "5"]',
+        'farm.dynamics.jerk must be a list of numbers, not [4, "5"].',
+    ),
     ("[farm.world]\nsites = 3", "farm.world.sites must be a list of at most 10000 places, not 3."),
     (
         "[farm.world]\nsites = [3]",
@@ -247,7 +251,7 @@ WORDS = (
 )
 WORDS += ("cuda", "mpe2:simple_spread_v3", "banded", "maddpg")
 WORDS += ("lattice", "velocity", "policy", "separate", "team", "bootstrap", "float32", "gru")
-WORDS += ("collection 0 at 9", "decoupled", "ppo", "south")
+WORDS += ("collection 0 at 9", "decoupled", "ppo", "south", "instant")
 BASES = "eia-sec", "default"
 """Presets that have between them every option of a preset."""
 OTHER_VALUES = {
@@ -264,7 +268,11 @@ OTHER_VALUES = {
 }
 
 
-@pytest.mark.parametrize(("key", "name"), ({key: name for name in BASES for key in flatten(PRESETS[name])}).items())
+KEYS = {key: name for name in BASES for key in flatten(PRESETS[name])}
+"""Every option, and the preset in which it is changed; that of default has routes, which exclude inertia."""
+
+
+@pytest.mark.parametrize(("key", "name"), (KEYS | {"farm.dynamics.model": "inertial"}).items())
 def test_digest_depends_on_every_key(key, name):
     """A change of any single key changes the digest and is the one difference that is reported."""
     base, (section, _, field) = PRESETS[name], key.rpartition(".")

@@ -15,7 +15,7 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
-from eia_sec.common.config import FarmConfig, WorldConfig
+from eia_sec.common.config import DynamicsConfig, FarmConfig, WorldConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim import batch
 from eia_sec.rollout.sim.core.cells import cell_counts
@@ -151,6 +151,13 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
             "peers": st.sampled_from([0, 0, 1, 2, 5]),
             "units": st.sampled_from([0, 0, 1, 2]),
         },
+        "dynamics": {
+            "acceleration": st.sampled_from([(3.0,), (0.7, 3.0, 9.0)]),
+            "jerk": st.sampled_from([(4.0,), (50.0,), (1.0, 4.0, 8.0)]),
+            "delay": st.sampled_from([(0.0,), (0.2,), (0.25, 0.0, 0.1)]),
+            "speed": st.sampled_from([(8.4,), (30.0, 3.0, 8.4)]),
+            "airspeed": st.sampled_from([(12.0,), (12.0, 5.0, 40.0)]),
+        },
         "control": {name: st.sampled_from([0.01, 0.36, 0.5, 0.5]) for name in ("monitoring_inset", "collection_inset")},
     }
 
@@ -165,7 +172,15 @@ def farm_configs(draw: st.DrawFn, world: st.SearchStrategy[WorldConfig] | None =
         for name, kind in sections().items()
         if name != "world"
     }
+    if parts["dynamics"].inertial:
+        parts["observation"] = replace(parts["observation"], route=False, plan=0)
     return FarmConfig(world=place, **parts)
+
+
+def instant_farms(configs: st.SearchStrategy[FarmConfig] | None = None) -> st.SearchStrategy[FarmConfig]:
+    """Draw farms whose UAVs reach any velocity at once."""
+    drawn = farm_configs() if configs is None else configs
+    return drawn.map(lambda config: replace(config, dynamics=DynamicsConfig()))
 
 
 def differences(config: Any) -> str:

@@ -1,6 +1,7 @@
 """The added observations against the reference, with all of them on, and what they mean in cases worked out by hand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +47,12 @@ SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
 
 
 def with_plans_that_fit(config: FarmConfig) -> FarmConfig:
-    """Return the farm, without plans where so short steps have too many places for them; with zones, without routes."""
+    """Return the farm, without plans where so short steps have too many places for them; with zones, without routes.
+
+    UAVs with inertia have neither.
+    """
+    if config.dynamics.inertial:
+        return config
     try:
         constants(config)
     except ConfigError:
@@ -57,7 +63,13 @@ def with_plans_that_fit(config: FarmConfig) -> FarmConfig:
 
 def everything(config: FarmConfig) -> FarmConfig:
     """Return the farm with every switch on."""
-    return with_plans_that_fit(replace(config, observation=replace(config.observation, **ALL)))
+    return with_plans_that_fit(with_seen(config, ALL))
+
+
+def with_seen(config: FarmConfig, switches: dict[str, Any]) -> FarmConfig:
+    """Return the farm with switches of observations set, but for plans and routes of UAVs with inertia."""
+    off = {"plan": 0, "route": False} if config.dynamics.inertial else {}
+    return replace(config, observation=replace(config.observation, **(switches | off)))
 
 
 def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
@@ -89,9 +101,9 @@ def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: 
 def test_added_observations_change_nothing_else(flight: Flight, names: set[str]):
     """Without its added numbers a row is bit for bit that of a farm that has them off, and so is the rest."""
     off = preset("eia-sec").farm.observation
-    plain = replace(flight.config.observation, **{name: getattr(off, name) for name in ALL})
-    more = replace(plain, **{name: ALL[name] for name in names})
-    farms = [with_plans_that_fit(replace(flight.config, observation=seen)) for seen in (plain, more)]
+    plain = with_seen(flight.config, {name: getattr(off, name) for name in ALL})
+    more = with_seen(plain, {name: ALL[name] for name in names})
+    farms = [with_plans_that_fit(farm) for farm in (plain, more)]
     pair = [begin(replace(flight, config=farm)) for farm in farms]
     kept = []
     for batch in pair:

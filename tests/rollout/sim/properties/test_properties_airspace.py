@@ -14,8 +14,8 @@ from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from eia_sec.rollout.sim.start import start_positions
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
-from tests.rollout.sim.properties.test_properties_added import moves, with_plans_that_fit
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, instant_farms, placed, worlds
+from tests.rollout.sim.properties.test_properties_added import moves, with_plans_that_fit, with_seen
 from tests.rollout.sim.properties.test_properties_battery import batteries
 from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of
 from tests.rollout.sim.properties.test_properties_stress import stresses
@@ -124,7 +124,7 @@ def test_no_uav_is_ever_inside_a_zone_nor_crosses_one(flight: Flight):
 
 
 @dose(20)
-@given(FLIGHTS)
+@given(flights(airspaces(instant_farms(farm_configs(SMALL)))))
 def test_ground_is_air_and_wind_and_the_power_is_that_of_the_airspeed(flight: Flight):
     """Where nothing stops a UAV: no airspeed exceeds the top speed, and what is possible of the command is flown."""
     batch, world, energy = started(flight)[0], flight.config.world, flight.config.energy
@@ -224,8 +224,9 @@ def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress:
         battery=battery,
         relay=replace(config.relay, require_link=True),
         reward=replace(config.reward, relayed=0.5),
-        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True, plan=2),
     )
+    seen = {"stress": True, "charge": True, "wind": True, "zones": True, "plan": 2}
+    config = with_seen(config, seen)
     flight = replace(flight, config=with_plans_that_fit(config))
     batch, _, positions = started(flight)
     reference = reference_of(flight, batch, positions)
@@ -253,7 +254,7 @@ def led(draw: st.DrawFn, configs: st.SearchStrategy[FarmConfig]) -> FarmConfig:
     return with_plans_that_fit(replace(config, zones=zones, control=control, observation=seen))
 
 
-AMONG_ZONES = flights(led(farm_configs(SMALL)))
+AMONG_ZONES = flights(led(instant_farms(farm_configs(SMALL))))
 
 
 @dose(20)

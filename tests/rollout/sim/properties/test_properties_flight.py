@@ -10,7 +10,7 @@ from eia_sec.rollout.sim.batch import REWARD_PARTS
 from eia_sec.rollout.sim.reference.farm import NEGLIGIBLE, free_space_loss
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.course import Course, fly
-from tests.rollout.sim.properties.strategies import dose, flights
+from tests.rollout.sim.properties.strategies import dose, flights, instant_farms
 
 EXACT = {"rtol": 1e-9, "atol": 1e-9}
 
@@ -26,7 +26,7 @@ def by_kind(course: Course, communication: float, monitoring: float, collection:
 
 
 @dose(12)
-@given(flights())
+@given(flights(instant_farms()))
 def test_uavs_go_where_they_are_sent_and_stay_in_the_field(flight):
     """The position is the commanded one, clipped to the field, and ACT is paid for exactly where it was clipped."""
     course = fly(flight)
@@ -39,7 +39,7 @@ def test_uavs_go_where_they_are_sent_and_stay_in_the_field(flight):
 
 
 @dose(12)
-@given(flights())
+@given(flights(instant_farms()))
 def test_energy_is_the_power_at_the_commanded_speed(flight):
     """More than 0, and the flight power of the chosen model plus everything else that the type of UAV needs."""
     course, energy = fly(flight), flight.config.energy

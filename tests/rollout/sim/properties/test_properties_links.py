@@ -14,7 +14,7 @@ from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from eia_sec.rollout.sim.stations import MIDDLES
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
-from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit
+from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit, with_seen
 from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of
 
 UTILITY, IDLE, RELAYED = (REWARD_PARTS.index(name) for name in ("utility", "idle", "relayed"))
@@ -103,8 +103,7 @@ def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
 def test_any_flight_with_a_base_station_equals_the_reference(flight: Flight, reach: float, base: str):
     """Every quantity after every step, plans too, with a relay that fails, within the bounds of the observation."""
     config = failing(linked(flight.config, reach, 0.5, base))
-    seen = replace(config.observation, plan=2)
-    flight = replace(flight, config=with_plans_that_fit(replace(config, observation=seen)))
+    flight = replace(flight, config=with_plans_that_fit(with_seen(config, {"plan": 2})))
     batch, relays = begin(flight), flight.config.world.communication_uavs
     farm = reference_of(flight, batch)
     for _ in flown_beside(flight, batch, farm, 12):

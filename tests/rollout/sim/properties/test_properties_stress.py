@@ -12,7 +12,7 @@ from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.conditions.stress import patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
-from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit
+from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit, with_seen
 from tests.rollout.sim.properties.test_properties_reference import reference_of
 from tests.rollout.sim.tolerances import named_columns
 
@@ -51,8 +51,8 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
     """Counters, rewards and observations are the reference farm's."""
     config = stressed(flight.config, stress)
-    planning = replace(config.observation, route=False, plan=3)
-    flight = replace(flight, config=with_plans_that_fit(replace(config, observation=planning)))
+    planning = with_seen(config, {"route": False, "plan": 3})
+    flight = replace(flight, config=with_plans_that_fit(planning))
     batch = begin(flight)
     farm = reference_of(flight, batch)
     for action in flight.actions()[:16]:

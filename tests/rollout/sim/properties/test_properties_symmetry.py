@@ -20,7 +20,15 @@ from eia_sec.common.farm import farm_team
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.start import start_levels
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, placed, renumbered, worlds
+from tests.rollout.sim.properties.strategies import (
+    Flight,
+    dose,
+    farm_configs,
+    instant_farms,
+    placed,
+    renumbered,
+    worlds,
+)
 
 MOTIVATION = REWARD_PARTS.index("motivation")
 EXACT = {"rtol": 1e-9, "atol": 1e-9}
@@ -93,7 +101,7 @@ def without_added(seen: ObservationConfig) -> ObservationConfig:
 @st.composite
 def lattice_flights(draw: st.DrawFn) -> Flight:
     """Draw a farm whose plots and speeds are binary fractions, and whose packets need no luck."""
-    config: FarmConfig = draw(farm_configs(worlds(st.integers(1, 6), 60, lattice=True)))
+    config: FarmConfig = draw(instant_farms(farm_configs(worlds(st.integers(1, 6), 60, lattice=True))))
     config = replace(config, observation=without_added(config.observation))
     config = replace(config, radio=replace(config.radio, sensor_power_dbm=90.0))
     manner = draw(st.sampled_from(["uniform", "lasting", "saturated", "hovering", "corners"]))
