@@ -58,7 +58,7 @@ EFFORT: Final = Effort()
 STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 """Its effort where there can be stress: a larger search pays there, for `uneven` 2 %."""
 
-MOTION_EFFORT: Final = Effort(horizon=16, width=48, last_horizon=24, last_width=64, same=2)
+MOTION_EFFORT: Final = Effort(horizon=12, width=100, last_horizon=12, last_width=100, same=8, discount=0.95)
 """Its effort where UAVs have inertia."""
 PIECES: Final = 400
 """Pieces of the table of a packet's probability."""

@@ -25,11 +25,8 @@ ARRIVED: Final = 0.5
 
 def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that weave along lanes of LANE_PLOTS plots, or with inertia fly straight over each column."""
-    return (
-        StraightSweep(state)
-        if state.config.dynamics.inertial
-        else TourFollower(sweep_routes(state.config), MONITORS, state)
-    )
+    routes = straight_routes(state.config) if state.config.dynamics.inertial else sweep_routes(state.config)
+    return TourFollower(routes, MONITORS, state)
 
 
 def collectors(state: FarmState) -> GroupPolicy:
@@ -46,30 +43,6 @@ def collection_routes(world: WorldConfig) -> list[Array]:
         for blocks in divided(world.collection_uavs, columns, rows)
     ]
     return shortest(divisions, world)
-
-
-class StraightSweep(TourFollower):
-    """Monitors with inertia, at the highest speed at which a whole number of steps takes a plot.
-
-    A faster step would end beside the middles of some plots, where images fail.
-
-    Args:
-        state: state at the start of the episode.
-    """
-
-    def __init__(self, state: FarmState) -> None:
-        super().__init__(straight_routes(state.config), MONITORS, state)
-        world = state.config.world
-        self._inertia = Inertia(state.config, np.full(len(state.of(MONITORS)), MONITORS))
-        plot = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
-        steps = np.ceil(plot / (self._inertia.top[0] * world.step_seconds))
-        self._speed = np.broadcast_to(plot / (steps * world.step_seconds), self._inertia.top.shape)
-
-    def goals(self, state: FarmState) -> Array:
-        """Return each UAV's place on its route, or where it would stop if it went on at this speed: [n_v, 2] m."""
-        position, motion = state.of(MONITORS), state.motion[state.agents[MONITORS]]
-        back, on = (self._inertia.stopping_way(motion, speed) for speed in (-self._speed, self._speed))
-        return np.asarray(position + np.clip(super().goals(state) - position, back, on))
 
 
 @functools.lru_cache(maxsize=64)
