@@ -79,7 +79,7 @@ def modelled(velocities: Array, limits: DynamicsConfig, delay: float) -> Array:
 def flown(velocities: Array, limits: DynamicsConfig, controller: str) -> tuple[Array, float]:
     """Return the way of each step [steps, 2] m that rotorpy's Hummingbird flies, and how far its height strays, m."""
     from rotorpy.vehicles.hummingbird_params import quad_params  # noqa: PLC0415  (the extra of this benchmark)
-    from rotorpy.vehicles.multirotor import Multirotor  # noqa: PLC0415
+    from rotorpy.vehicles.multirotor import Multirotor  # noqa: PLC0415  (the extra of this benchmark)
 
     vehicle = Multirotor(quad_params, control_abstraction="cmd_acc" if controller == "px4" else "cmd_vel")
     hover = np.sqrt(quad_params["mass"] * GRAVITY / 4.0 / quad_params["k_eta"])
