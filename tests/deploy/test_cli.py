@@ -285,7 +285,8 @@ def test_environments_but_the_farm_have_a_preset_of_their_own(tmp_path: Path) ->
     for arguments in (["--env", "toy_env:Relay"], ["--env.name=toy_env:Relay"], ["--config", str(path)]):
         found = base_configuration(arguments)
         assert (found.steps, found.rollout) == (generic.steps, generic.rollout)
-    assert base_configuration(["--env", "toy_env:Relay", "--preset", "quick"]) == PRESETS["quick"]
-    assert base_configuration(["--env", "farm"]) == base_configuration([]) == RunConfig()
+    quick = base_configuration(["--env", "toy_env:Relay", "--preset", "quick"])
+    assert (quick.episodes, quick.rollout) == (PRESETS["quick"].episodes, PRESETS["quick"].rollout)
+    assert base_configuration(["--env", "farm"]) == base_configuration([]) == PRESETS["default"]
     given = base_configuration(["--env", "toy_env:Relay", "--episodes", "30"])
     assert (given.episodes, given.steps) == (30, 0)

@@ -76,5 +76,5 @@ def test_a_run_that_cannot_make_one_update_says_so(name, episodes, said):
     values = options if name == "ippo" else {"replay.warmup_steps": 399, "algorithm.batch": 32}
     config = with_values(base, {"episodes": episodes, **values})
     found = train.shortage(config, environment)
-    assert ("at most 300 steps together, and the first update needs 400" in found) == said
+    assert ("at most 300 steps, and the first update needs 400" in found) == said
     assert bool(found) == said
