@@ -67,14 +67,14 @@ def test_a_run_with_certificates_finishes_and_denies_who_is_not_listed(audited, 
         assert part in audited.log("unlisted")
     # The learner has published reports for a while; the monitor's subscription covers all names of the run.
     audited.start("monitor", "monitor", *joining, "--refresh", "0.2", *tls("monitor.m"))
-    assert audited.await_line("monitor", "episode 0 of 8"), audited.log("monitor")
+    assert audited.await_line("monitor", "0 of 8 episodes"), audited.log("monitor")
     audited.start("elite", "elite", *joining, *tls("elite.coordinator"))
     audited.start("worker", "rollout", *joining, *tls("rollout.a"))
     for name in ("learner", "elite", "worker"):
         assert audited.running[name].wait(SECONDS) == 0, audited.log(name)
         assert "UNPICKLED" not in audited.log(name)
         assert "denied" not in audited.log(name)
-    assert "denied" not in audited.log("monitor").partition("episode 0 of 8")[2]
+    assert "denied" not in audited.log("monitor").partition("0 of 8 episodes")[2]
 
 
 @pytest.mark.parametrize(

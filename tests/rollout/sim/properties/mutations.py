@@ -257,7 +257,20 @@ def run_properties(folder: Path, dose: str, *arguments: str) -> tuple[int, list[
     environment = os.environ | {"EIA_SEC_PROPERTIES": dose, "PYTHONPATH": str(folder)}
     environment.pop("NUMBA_CACHE_DIR", None)
     files = [f"{TESTS}/properties/{name}" for name in PROPERTIES]
-    command = [sys.executable, "-m", "pytest", "-q", "-o", "timeout=7200", "-p", "no:cacheprovider", *arguments, *files]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-m",
+        "not nightly",
+        "-o",
+        "timeout=7200",
+        "-p",
+        "no:cacheprovider",
+        *arguments,
+        *files,
+    ]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     failed = re.findall(r"^FAILED \S+::(\w+)", result.stdout, re.MULTILINE)
     return result.returncode, failed, result.stdout + result.stderr
