@@ -127,7 +127,7 @@ def test_an_evaluation_that_is_ended_closes_its_environments(begun: Begun) -> No
             "--policy",
             "random",
             "--farms",
-            "1000:1100",
+            "1000:5000",
         )
         until(lambda command=evaluation: len(command.simulators()) == 32, "simulators")
         time.sleep(1.0)

@@ -74,7 +74,7 @@ def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     outcome = json.loads((run_dir / "evaluation.json").read_text())
-    trained, chance = (result["reward"] for result in outcome["evaluations"])
+    trained, *_, chance = (result["reward"] for result in outcome["evaluations"])
     assert set(trained) == {"mean", "runner", "keeper"}
     assert trained["mean"] > chance["mean"] + 0.3
     assert (run_dir / "curves.png").is_file()
@@ -101,7 +101,7 @@ def test_choices_masks_and_boxes_are_trained_together(tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stdout + done.stderr
     outcome = json.loads((run_dir / "evaluation.json").read_text())
-    trained, chance = (result["reward"] for result in outcome["evaluations"])
+    trained, *_, chance = (result["reward"] for result in outcome["evaluations"])
     assert trained["mean"] > chance["mean"] + 1.0
     assert {path.stem for path in (run_dir / "export").glob("*.onnx")} == {
         "walker-0",
