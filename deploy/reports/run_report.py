@@ -38,7 +38,8 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     )
     results = evaluate_all(config, path / POLICY, farms)
     metrics = read_metrics(path / METRICS)
-    levels = {result.policy: result.total.reward for result in results if result.policy != TRAINED}
+    references = reference_policies(config)
+    levels = {result.policy: result.total.reward for result in results if result.policy in references}
     curves(metrics, path / "curves.png", levels, results[0].environment.episode_metrics)
     pictures = ["curves.png"]
     if farm is not None:
