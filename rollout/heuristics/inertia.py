@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
+from eia_sec.rollout.sim.core import dynamics as core
+from eia_sec.rollout.sim.core.compile import compiled_entry
 
 Array = NDArray[np.float64]
 
 HALVINGS: Final = 16
 """Halvings of the interval in which the command that stops at a place is sought."""
-EVER: Final = 1e6
-"""Time in which every UAV has stopped, s."""
 
 
 def glide(v: Array, a: Array, wanted: Array, most: Array, jerk: Array, seconds: Array | float) -> tuple[Array, ...]:
-    """Return ways, velocities and accelerations after some time on the way to wanted ones; see `core.dynamics`."""
-    sign = np.where(wanted >= v + 0.5 * a * np.abs(a) / jerk, 1.0, -1.0)
-    v, a, gain = sign * v, sign * a, sign * (wanted - v)
-    free = np.sqrt(np.maximum(0.0, jerk * gain + 0.5 * a * a))
-    peak = np.minimum(most, free)
-    hold = np.where(free > most, (gain - (most * most - 0.5 * a * a) / jerk) / most, 0.0)
-    left, way = np.broadcast_to(np.asarray(seconds, np.float64), v.shape), np.zeros_like(v)
-    for time, change in ((np.maximum(0.0, (peak - a) / jerk), jerk), (hold, 0.0), (peak / jerk, -jerk)):
-        t = np.minimum(left, time)
-        way = way + t * (v + t * (0.5 * a + t * change / 6.0))
-        v, a, left = v + t * (a + 0.5 * t * change), a + t * change, left - t
-    over = left > 0.0
-    v, a = np.where(over, sign * wanted, v), np.where(over, 0.0, a)
-    return sign * (way + np.where(over, left * v, 0.0)), sign * v, sign * a
+    """Return ways, velocities and accelerations of many UAVs after some time; see `core.dynamics.glide`."""
+    arrays = np.broadcast_arrays(v, a, wanted, most, jerk, seconds)
+    found = _glides(*(np.ascontiguousarray(array, np.float64).ravel() for array in arrays))
+    return tuple(part.reshape(arrays[0].shape) for part in found)
+
+
+@compiled_entry
+def _glides(v: Array, a: Array, wanted: Array, most: Array, jerk: Array, seconds: Array) -> Array:
+    found = np.empty((3, len(v)))
+    for index in range(len(v)):
+        found[0, index], found[1, index], found[2, index] = core.glide(
+            v[index], a[index], wanted[index], most[index], jerk[index], seconds[index]
+        )
+    return found
 
 
 class Inertia:
@@ -68,7 +68,7 @@ class Inertia:
             (before, self._delay),
             (command, self._seconds - self._delay),
             (command, self._delay),
-            (np.zeros_like(command), EVER),
+            (np.zeros_like(command), core.EVER),
         ):
             way, v, a = glide(v, a, wanted, self._most, self._jerk, seconds)
             parts.append(way)

@@ -70,15 +70,23 @@ def _serve(grid: SearchGrid, rest: Array, node: int) -> None:
 
 
 @compiled
-def _closing(place: Array, node: int, before: int, others: Array, earlier: Array, safety: float) -> float:
-    """Return how far a move closes in on the UAV nearest after it, m; 0 if that UAV is `safety` or more away."""
-    nearest, closing = safety, 0.0
+def closing(to: Array, before: Array, others: Array, earlier: Array, safety: float) -> float:
+    """Return how far a step closes in on the UAV nearest after it, m; 0 if that UAV is `safety` or more away.
+
+    Args:
+        to: place after the step, x and y first, m.
+        before: the place before it.
+        others: [m, 2] positions of the other UAVs after the step, m.
+        earlier: [m, 2] those before it.
+        safety: m.
+    """
+    nearest, found = safety, 0.0
     for other in range(len(others)):
-        now = np.hypot(place[node, 0] - others[other, 0], place[node, 1] - others[other, 1])
+        now = np.hypot(to[0] - others[other, 0], to[1] - others[other, 1])
         if now < nearest:
-            then = np.hypot(place[before, 0] - earlier[other, 0], place[before, 1] - earlier[other, 1])
-            nearest, closing = now, max(0.0, then - now)
-    return closing
+            then = np.hypot(before[0] - earlier[other, 0], before[1] - earlier[other, 1])
+            nearest, found = now, max(0.0, then - now)
+    return found
 
 
 @compiled
@@ -124,7 +132,7 @@ def _expand(
                 units = _units(grid, level, rest[b], to)
                 value = reward.unit * units + reward.flight[abs(x - column) + abs(y - row)]
                 value += reward.idle if units < 0.5 else 0.0
-                value += reward.risk * _closing(grid.place, to, node[b], others, earlier, reward.safety)
+                value += reward.risk * closing(grid.place[to], grid.place[node[b]], others, earlier, reward.safety)
                 candidate[count] = score[b] + factor * value
                 move[count, 0], move[count, 1] = b, to
                 count += 1
@@ -132,19 +140,27 @@ def _expand(
 
 
 @compiled
-def _keep_best(candidate: Array, move: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
-    """Keep the best candidates, at most `same` per end place; return the number kept."""
+def keep_best(candidate: Array, end: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
+    """Keep the best candidates, at most `same` per end; return the number kept.
+
+    Args:
+        candidate: [n] scores.
+        end: [n] number of the place that each leads to.
+        width: most candidates to keep.
+        same: most of them with one end.
+        used: zeros for each place, and zeros again afterwards.
+        chosen: [width] out: the kept ones, best first.
+    """
     kept = 0
     for pick in np.argsort(-candidate):
-        to = move[pick, 1]
-        if used[to] < same:
-            used[to] += 1
+        if used[end[pick]] < same:
+            used[end[pick]] += 1
             chosen[kept] = pick
             kept += 1
             if kept == width:
                 break
     for k in range(kept):
-        used[move[chosen[k], 1]] = 0
+        used[end[chosen[k]]] = 0
     return kept
 
 
@@ -186,7 +202,7 @@ def best_path(
         count = _expand(
             grid, reward, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
         )
-        kept = _keep_best(candidate[:count], move, width, same, used, chosen)
+        kept = keep_best(candidate[:count], move[:count, 1], width, same, used, chosen)
         score = candidate[chosen[:kept]]
         parent, node = move[chosen[:kept], 0], move[chosen[:kept], 1].copy()
         rest, path = rest[parent], path[parent]

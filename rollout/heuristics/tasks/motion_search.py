@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices
+from eia_sec.rollout.heuristics.tasks.beam import Array, Flags, Indices, closing, keep_best
 from eia_sec.rollout.sim.core.compile import compiled, compiled_entry
 from eia_sec.rollout.sim.core.dynamics import ACCELERATION, COMMAND, VELOCITY, glide
 
@@ -104,18 +104,6 @@ def _serve(sites: Sites, level: Array, rest: Array, x: float, y: float, take: bo
 
 
 @compiled
-def _closing(x: float, y: float, from_x: float, from_y: float, others: Array, earlier: Array, safety: float) -> float:
-    """Return how far a step closes in on the UAV nearest after it, m; 0 if that UAV is `safety` or more away."""
-    nearest, closing = safety, 0.0
-    for other in range(len(others)):
-        now = np.hypot(x - others[other, 0], y - others[other, 1])
-        if now < nearest:
-            then = np.hypot(from_x - earlier[other, 0], from_y - earlier[other, 1])
-            nearest, closing = now, max(0.0, then - now)
-    return closing
-
-
-@compiled
 def _fly(limits: Limits, axis: int, place: float, motion: Array, out: Array) -> None:
     """Write for each level of an axis: place, velocity, acceleration, command, and 1 if the border stops it; [L, 5]."""
     top = limits.top_x if axis == 0 else limits.top_y
@@ -172,9 +160,9 @@ def best_commands(
     Returns:
         [H, 2] m/s and [H, 2] m.
     """
-    horizon, count = level.shape
+    horizon, site_count = level.shape
     columns, rows = max(1, int(limits.field_x / CELL)), max(1, int(limits.field_y / CELL))
-    rest = np.ones((1, count))
+    rest = np.ones((1, site_count))
     for k in range(len(claimed)):
         _serve(sites, level[0], rest[0], claimed[k, 0], claimed[k, 1], True)
     place, moving, score = np.zeros((1, 2)), np.zeros((1, 6)), np.zeros(1)
@@ -184,6 +172,7 @@ def best_commands(
     outcome = np.zeros((width, 2, LEVELS, 5))
     candidate, cell = np.empty(width * options), np.empty(width * options, np.int64)
     used, chosen, factor = np.zeros(columns * rows, np.int64), np.empty(width, np.int64), 1.0
+    to = np.empty(2)
     for step in range(horizon):
         for b in range(len(score)):
             _fly(limits, 0, place[b, 0], moving[b], outcome[b, 0])
@@ -197,21 +186,12 @@ def best_commands(
                     units = _serve(sites, level[step], rest[b], x[0], y[0], False)
                     value = reward.unit * units + (reward.idle if units < 0.5 else 0.0)
                     value += reward.boundary * max(x[4], y[4])
-                    value += reward.risk * _closing(
-                        x[0], y[0], place[b, 0], place[b, 1], others[step + 1], others[step], reward.safety
-                    )
+                    to[0], to[1] = x[0], y[0]
+                    value += reward.risk * closing(to, place[b], others[step + 1], others[step], reward.safety)
                 candidate[b * options + option] = score[b] + factor * value
                 cell[b * options + option] = _cell(limits, columns, rows, x, y)
-        kept = 0
-        for pick in np.argsort(-candidate[: len(score) * options]):
-            if used[cell[pick]] < same:
-                used[cell[pick]] += 1
-                chosen[kept] = pick
-                kept += 1
-                if kept == width:
-                    break
-        for k in range(kept):
-            used[cell[chosen[k]]] = 0
+        count = len(score) * options
+        kept = keep_best(candidate[:count], cell[:count], width, same, used, chosen)
         parent = chosen[:kept] // options
         score, rest, commands, path = candidate[chosen[:kept]], rest[parent], commands[parent], path[parent]
         place, moving = np.empty((kept, 2)), np.empty((kept, 6))

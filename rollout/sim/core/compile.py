@@ -7,9 +7,9 @@
     @allocation_free_entry   the same, allocation-free
 
 Numba keys the machine code on disk only by the entry's own file, not by the files of the functions that it calls. The
-two entry decorators add a digest of all the simulator's sources to that key, so any change recompiles the entries. The
-digest is that of the sources at import: code of sources that change under a running process must not pass for code of
-the new.
+two entry decorators add a digest of all the simulator's sources to that key, and one of those in the entry's folder, so
+any change recompiles the entries. The digests are those of the sources at import: code of sources that change under a
+running process must not pass for code of the new.
 """
 
 import functools
@@ -67,11 +67,22 @@ def allocation_free_entry(function: Function) -> Function:
 
 
 def _keyed_by_sources(dispatcher: Any) -> Any:
-    """Add the digest of all sources of the simulator to the key of a function's machine code on disk."""
+    """Add the digests of all sources of the simulator, and of its folder, to a function's key on disk."""
     cache = dispatcher._cache
-    plain_key, digest = cache._index_key, sources_digest()
-    cache._index_key = lambda signature, codegen: (*plain_key(signature, codegen), digest)
+    plain_key, digests = (
+        cache._index_key,
+        (sources_digest(), _folder_digest(Path(dispatcher.py_func.__code__.co_filename))),
+    )
+    cache._index_key = lambda signature, codegen: (*plain_key(signature, codegen), *digests)
     return dispatcher
+
+
+def _folder_digest(source: Path) -> str:
+    """Return a digest of the sources beside a file, whose functions an entry in it may call."""
+    digest = hashlib.sha256()
+    for path in sorted(source.parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 @functools.cache
