@@ -37,7 +37,10 @@ T = TypeVar("T")
 SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
 """Short names of options."""
 
-PRESET_HELP: Final = f"Configuration to begin from: {', '.join(PRESETS)}."
+PRESET_HELP: Final = (
+    f"Configuration to begin from: {', '.join(PRESETS)}. Without it, the farm has default and any other environment "
+    "has generic."
+)
 
 _REGISTRY: Final = ConstructorRegistry()
 

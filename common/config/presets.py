@@ -37,7 +37,6 @@ farms = 4
 GENERIC: Final = """
 steps = 1_000_000
 [algorithm]
-discount = 0.99
 actor_rate = 5e-4
 reward_scale = 1.0
 gradient_clip = 1.0

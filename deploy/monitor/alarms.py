@@ -17,8 +17,6 @@ WAITING_SHARE: Final = 0.5
 NAMED: Final = 3
 """Processes that an alarm names; the rest are counted."""
 
-Sentence = Callable[[Sequence[ProcessRow], str], str]
-
 
 def examine(rows: Sequence[ProcessRow], training: bool, over: bool = False) -> tuple[tuple[ProcessRow, ...], list[str]]:
     """Return the rows with those in trouble marked, and one alarm for each kind of trouble.

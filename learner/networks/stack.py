@@ -38,7 +38,6 @@ class Stack(nn.Module):
 
     Attributes:
         count: S.
-        inputs: numbers in an input.
         size: P.
         flat: all parameters [S, P], as wide as `place`.
     """
@@ -47,7 +46,7 @@ class Stack(nn.Module):
 
     def __init__(self, count: int, inputs: int, hidden: int, outputs: int, place: Tensor | None = None) -> None:
         super().__init__()
-        self.count, self.inputs = count, inputs
+        self.count = count
         self._shapes = layer_shapes(inputs, hidden, outputs, self.memory)
         self._lengths = [math.prod(shape) for shape in self._shapes]
         self.size = sum(self._lengths)

@@ -140,10 +140,9 @@ class Updates:
         for kind in kinds:
             if not fresh or float(scales.loaded):
                 self.policies.stacks[kind].rescale_inputs(*_moved(before[kind], scales.of_type(kind)))
+            seen = (team_before, scales.of_team()) if self._config.sees_team else (before[kind], scales.of_type(kind))
             for stack in () if fresh else _stacks(self.values[kind]):
-                sees_own = stack.inputs == self._groups[kind][0].observation_size
-                pair = (before[kind], scales.of_type(kind)) if sees_own else (team_before, scales.of_team())
-                stack.rescale_inputs(*_moved(*pair))
+                stack.rescale_inputs(*_moved(*seen))
 
     def _take_in_returns(self, returns: Float32, used: NDArray[np.int64]) -> None:
         """Update what returns are scaled by; value functions that have learnt keep theirs."""

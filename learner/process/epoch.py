@@ -1,15 +1,10 @@
 """The learner's fencing epoch: each later start of a run's learner has a higher one."""
 
-from typing import Final
-
 from eia_sec.common.errors import ProtocolError
 from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ProgressMessage
 from eia_sec.common.transport.bus import Bus
-
-MOST_EPOCH: Final = 2**62
-"""Epochs from here on are refused when read: no clock gives them, and later starts need higher ones."""
 
 
 def next_epoch(last: int) -> int:
