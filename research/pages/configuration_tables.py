@@ -160,7 +160,7 @@ def _type(wanted: Any) -> str:
     if get_origin(wanted) is Mapping:
         return f"table of {_type(get_args(wanted)[1])}s"
     if get_origin(wanted) is tuple:
-        return _LISTS.get(wanted, "list of integers")
+        return _LISTS.get(wanted, f"list of {_type(get_args(wanted)[0])}s")
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
 
 

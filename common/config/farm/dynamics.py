@@ -26,8 +26,8 @@ class DynamicsConfig:
     jerk: tuple[float, ...] = (4.0,)
     """Largest change of it, m/s3; 4 is PX4's MPC_JERK_AUTO, that of autonomous modes (ours)."""
     delay: tuple[float, ...] = (0.1,)
-    """Time from a command until the vehicle follows it, s, at most a step; 0.1 fits best how rotorpy's multirotor lags
-    behind velocity set-points, see `research.benchmarks.dynamics` (ours)."""
+    """Time from a command until the vehicle follows it, s, at most a step; 0.1 fitted a flight of
+    rotorpy's multirotor best, see `research.benchmarks.dynamics` (ours)."""
     speed: tuple[float, ...] = (8.4,)
     """Top speed over ground along each axis, m/s; at 8.4 along both, PX4's MPC_XY_VEL_MAX of 12 m/s holds (ours)."""
     airspeed: tuple[float, ...] = (12.0,)
