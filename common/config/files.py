@@ -29,7 +29,10 @@ from eia_sec.common.errors import ConfigError
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
 FORMAT: Final = 1
-"""Number of the form of a saved configuration. It rises when an option is renamed, removed or means something else."""
+"""Number of the form of a saved configuration.
+
+It rises when an option is renamed, removed or means something else, and when a new one's default is not what versions
+without it did."""
 _FORMAT_KEY: Final = "format"
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
@@ -76,16 +79,11 @@ def _key(name: str) -> str:
 
 def to_toml(config: RunConfig) -> str:
     """Return the whole configuration as TOML; `read_saved` and `from_toml` return an equal one."""
-    return f"format = {FORMAT}\n{_body(config)}"
-
-
-def _body(config: RunConfig) -> str:
-    """Return all options as TOML."""
     sections: dict[str, list[str]] = {"": []}
     for section, name, value in _options(config):
         sections.setdefault(section, []).append(f"{name} = {format_value(value)}")
     blocks = ["\n".join(([f"[{name}]"] if name else []) + lines) for name, lines in sections.items()]
-    return "\n\n".join(blocks) + "\n"
+    return f"{_FORMAT_KEY} = {FORMAT}\n" + "\n\n".join(blocks) + "\n"
 
 
 def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
@@ -115,30 +113,22 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
 def read_saved(source: str | Path) -> RunConfig:
     """Return the configuration that `to_toml` wrote, for instance of a run.
 
+    An option that the text leaves out has its default, which does what versions without that option did.
+
     Args:
         source: TOML text, or the path of a file that holds it.
 
     Raises:
-        ConfigError: see `from_toml`; or it leaves the format or an option out.
+        ConfigError: see `from_toml`; or it leaves the format out.
     """
     table = _table(source)
     where = f"{source}: " if isinstance(source, Path) else ""
+    if _FORMAT_KEY not in table:
+        raise ConfigError(f"{where}a run's configuration names its {_FORMAT_KEY}, and this one does not.")
     try:
-        found = _merged(RunConfig(), table)
+        return _merged(RunConfig(), table)
     except ConfigError as error:
         raise ConfigError(f"{where}{error}") from None
-    own = [key for key in flatten(without_maps(found)) if not _holds(table, key)]
-    missing = [*([] if _FORMAT_KEY in table else [_FORMAT_KEY]), *own]
-    if missing:
-        raise ConfigError(f"{where}a run's configuration has every option, but {missing[0]} is missing.")
-    return found
-
-
-def _holds(table: Mapping[str, Any], key: str) -> bool:
-    """Return whether a TOML table has a value at a dotted key."""
-    name, _, rest = key.partition(".")
-    held = table.get(name)
-    return _holds(held, rest) if rest and isinstance(held, dict) else not rest and held is not None
 
 
 def _table(source: str | Path) -> dict[str, Any]:
@@ -183,8 +173,14 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 
 
 def digest(config: RunConfig) -> str:
-    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests."""
-    return hashlib.sha256(_body(config).encode()).hexdigest()[:16]
+    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests.
+
+    Options at their defaults do not count, so configurations keep their digests when a later version adds options.
+    """
+    defaults, name = flatten(RunConfig().with_algorithm(config.algorithm.name)), "algorithm.name"
+    own = {key: value for key, value in flatten(config).items() if key == name or defaults.get(key) != value}
+    text = "".join(f"{key} = {format_value(value)}\n" for key, value in own.items())
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def method_of(config: RunConfig) -> RunConfig:
@@ -229,7 +225,7 @@ def _is_toml(value: str) -> bool:
 def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     """Return the base with a file's values; the file's algorithm decides which options exist."""
     if _FORMAT_KEY in table:
-        base, table = without_maps(base), _of_this_format(table)
+        base, table = _without_maps(base), _of_this_format(table)
     if isinstance(name := _name_in(table, "env"), str):
         base = base.with_environment(name)
     if isinstance(name := _name_in(table, "algorithm"), str):
@@ -243,7 +239,7 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     return merged
 
 
-def without_maps(config: RunConfig) -> RunConfig:
+def _without_maps(config: RunConfig) -> RunConfig:
     """Return the configuration with empty maps."""
     return dataclasses.replace(config, env=without_entries(config.env), algorithm=without_entries(config.algorithm))
 
