@@ -32,7 +32,7 @@ checkpoint_seconds = 15.0
 [evaluation]
 farms = 4
 """
-"""A short run that uses every process and ends within a minute or two on two cores."""
+"""A short run that uses every process and ends within two to four minutes on two cores."""
 
 GENERIC: Final = """
 steps = 1_000_000
