@@ -80,6 +80,7 @@ class Receiver:
         lockstep: whether the learner itself answers, after it has trained; a request then holds one chunk.
         history: where each verdict is written before it is sent.
         version: the newest parameter version so far.
+        resumed: whether there was a learner of this run before, which may still be alive and take chunks.
     """
 
     def __init__(
@@ -92,6 +93,8 @@ class Receiver:
         lockstep: bool,
         history: History | None = None,
         version: int = 0,
+        *,
+        resumed: bool = False,
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(limits.chunks)
         self.server, self.ledger = server, ledger
@@ -103,7 +106,7 @@ class Receiver:
         self.room = IterationRoom(limits, version, self.gate)
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
-        self._team, self._rules, self._lockstep = team, rules, lockstep
+        self._team, self._rules, self._lockstep, self._resumed = team, rules, lockstep, resumed
         self._episodes = EpisodeTracker(rules)
         self._met: dict[str, int] = {}
         self.dealt_with, self._closing, self.failed = threading.Event(), False, False
@@ -230,8 +233,9 @@ class Receiver:
             message = ChunkMessage.decode(data)
         except ProtocolError as error:
             return self._send_again(sender, error)
-        # A worker holds each chunk until it is settled, so it cannot drop one that this receiver has not settled.
-        met = self._met.get(sender.name) == sender.incarnation
+        # A worker holds each chunk until a learner settles it. If this is the only one, none can be missing. But
+        # one that was thought dead may settle chunks beside its successor, at any time.
+        met = self._met.get(sender.name) == sender.incarnation and not self._resumed
         status = self.ledger.judge(sender, 0 if met else delivery.oldest)
         if status != "accepted":
             if status == "duplicate":

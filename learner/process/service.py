@@ -132,7 +132,8 @@ class Learner:
         absorbed = ledger.now()
         rules, lockstep, version = ChunkRules.of(config, environment), self._options.lockstep, self.trainer.version
         team, limits = environment.team, IntakeLimits.of(config)
-        self.receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version)
+        resumed = self._options.resume
+        self.receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version, resumed=resumed)
         self._open_iteration()
         self._feed = ExperienceFeed(self.receiver, self.trainer, absorbed, self._reporter.log_episodes)
 

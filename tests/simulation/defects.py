@@ -16,6 +16,7 @@ from eia_sec.learner.intake import receiver
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.iteration_room import IterationRoom
 from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.process import epoch
 from eia_sec.learner.process.lease import Lease
 from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.worker import sender
@@ -110,8 +111,18 @@ def _unflushed() -> AbstractContextManager[Any]:
     return mock.patch.object(files, "_write_tensors", hasty)
 
 
-def _unknowing(known: int = 0) -> int:
-    return incarnation.microseconds()
+@contextmanager
+def _forgetful() -> Iterator[None]:
+    """Let workers and learners take their numbers from the clock alone."""
+
+    def clock_alone(known: int = 0) -> int:
+        return incarnation.microseconds()
+
+    with (
+        mock.patch.object(incarnation, "new_incarnation", clock_alone),
+        mock.patch.object(epoch, "new_incarnation", clock_alone),
+    ):
+        yield
 
 
 def _patient(self: sender.Sender, waited: float) -> bool:
@@ -157,8 +168,6 @@ DEFECTS: Final[dict[str, Plant]] = {
     "totals keep what a second resume rolls back": lambda: mock.patch.object(
         summary._Totals, "roll_back", _rolled_back_once
     ),
-    "a new start ignores the numbers of earlier ones": lambda: mock.patch.object(
-        incarnation, "new_incarnation", _unknowing
-    ),
+    "a new start ignores the numbers of earlier ones": _forgetful,
 }
 """Name of each defect, and how it is planted."""

@@ -245,9 +245,11 @@ def receiving(
     lockstep: bool = False,
     ledger: Ledger | None = None,
     history: History | None = None,
+    resumed: bool = False,
 ) -> Receiver:
     """Return a receiver whose loop runs in a thread, as in a learner."""
-    receiver = Receiver(door, TEAM, rules, ledger or Ledger(), limits, lockstep, history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
+    server: Any = door  # all of a server that a receiver uses
+    receiver = Receiver(server, TEAM, rules, ledger or Ledger(), limits, lockstep, history, resumed=resumed)
     door.thread = in_thread("receiver", receiver.receive())
     return receiver
 

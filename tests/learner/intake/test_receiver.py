@@ -77,6 +77,25 @@ def test_an_older_start_learns_that_it_was_replaced():
         shut(receiver, door)
 
 
+def test_a_successor_goes_on_after_chunks_that_the_learner_before_has_taken():
+    """A learner that was thought dead settles a chunk after its successor met the worker; its steps count as lost."""
+    (old, old_door), new_door = front_door(), Door()
+    new = receiving(new_door, RULES, IntakeLimits(64, None), resumed=True)
+    try:
+        # Both take the first two chunks, as answers get lost; then the old one answers for the third.
+        for number, doors in ((1, (old_door, new_door)), (2, (old_door, new_door)), (3, (old_door,)), (4, (new_door,))):
+            assert [door.pass_on(parcel("a", 1, number)).verdict for door in doors] == ["accepted"] * len(doors)
+        totals = new.ledger.totals()
+        assert (totals["accepted"], totals["lost"], totals["claimed"], totals["unexplained"]) == (3, 1, 1, 0)
+        # Out of turn is still what the worker itself can mend.
+        ahead = to_request([to_message(a_chunk(6), TEAM, 1, produced=6).encode()], oldest=5, flown=6)
+        sent = Parcel(keys.TRANSITION.key(RUN, worker="a"), ahead, Envelope("rollout", "a", 1, 6, 1).encode())
+        assert new_door.pass_on(sent).verdict == "gap"
+    finally:
+        shut(old, old_door)
+        shut(new, new_door)
+
+
 def test_no_start_takes_all_numbers_with_it():
     """A hostile number beyond any clock is refused; behind the greatest one that is taken a new start still gets in."""
     receiver, door = front_door()
