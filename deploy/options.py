@@ -3,6 +3,7 @@
 import contextlib
 import io
 import itertools
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import reduce
@@ -18,7 +19,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from eia_sec.common.config import RunConfig
+from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
 from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.farm.sites import Sites
@@ -125,9 +126,12 @@ def require_env(config: RunConfig, named: str | None) -> None:
     Loading an environment runs its code, and a run directory may be somebody else's.
 
     Raises:
-        UsageError: the environment is neither the farm nor named.
+        UsageError: the environment is neither the farm nor named; of what others serve, any may be named.
     """
-    if config.env.is_third_party and config.env.name != named:
+    if config.env.served:
+        if named is None or not EnvConfig(named).served:
+            raise UsageError(f"this run uses what others serve; add --env {shlex.quote(config.env.name)} to step that.")
+    elif config.env.is_third_party and config.env.name != named:
         raise UsageError(f"this run uses {config.env.name}; add --env {config.env.name} to run its code.")
 
 

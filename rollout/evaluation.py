@@ -14,7 +14,7 @@ from eia_sec.common.errors import ConfigError
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
-from eia_sec.rollout.envs.base import Environments
+from eia_sec.rollout.envs.base import Environments, Reach
 from eia_sec.rollout.envs.registry import make_environments, patient_with
 from eia_sec.rollout.heuristics.farms import make_farms
 from eia_sec.rollout.policies import BatchPolicy, Policy
@@ -167,11 +167,29 @@ def evaluate(
 
 
 def evaluate_run(
-    config: RunConfig, policy: BatchPolicy[Environments], farms: Sequence[int], episodes: int, *, name: str
+    config: RunConfig,
+    policy: BatchPolicy[Environments],
+    farms: Sequence[int],
+    episodes: int,
+    *,
+    name: str,
+    reach: Reach | None = None,
 ) -> Evaluation:
-    """Evaluate a policy in the environment of a run; see `evaluate_environments`."""
+    """Evaluate a policy in the environment of a run; see `evaluate_environments`.
+
+    With `reach`, which environments need that others serve, episodes run in the copies of one of them.
+    """
+    batch = BATCH
+    if config.env.served and reach is not None:
+        from eia_sec.rollout.remote.served import copies_of  # noqa: PLC0415  (pettingzoo loads only for its users)
+
+        batch = min(BATCH, copies_of(reach, config.env.served))
+
+    def make(count: int) -> Environments:
+        return make_environments(config, count, reach=reach)
+
     with patient_with(config):
-        return evaluate_environments(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
+        return evaluate_environments(make, policy, farms, episodes, name=name, batch=batch)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:

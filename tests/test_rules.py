@@ -226,7 +226,7 @@ def test_wheel_holds_the_packages_and_nothing_else(tmp_path):
         names = set(archive.namelist())
         (commands,) = (archive.read(name).decode() for name in names if name.endswith("/entry_points.txt"))
     metadata = {name for name in names if name.split("/")[0].endswith(".dist-info")}
-    sources = {"eia_sec/__init__.py", "eia_sec/py.typed"} | {
+    sources = {"eia_sec/__init__.py", "eia_sec/remote.py", "eia_sec/py.typed"} | {
         f"eia_sec/{path.relative_to(ROOT).as_posix()}"
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")

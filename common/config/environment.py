@@ -1,6 +1,7 @@
 """The environment of a run: one of this package, such as the farm, or any PettingZoo parallel environment."""
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,6 +13,9 @@ from eia_sec.common.names import is_name
 
 FARM: Final = "farm"
 """Name of the farm, which FarmConfig configures."""
+ZENOH: Final = "zenoh:"
+"""What the name of environments begins with that others serve."""
+_SERVED: Final = re.compile(rf"{ZENOH}[A-Za-z0-9_.\-*]{{1,63}}")
 MOST_EPISODE_STEPS: Final = 100_000
 """Steps after which an episode is truncated where neither the environment nor the configuration ends it."""
 
@@ -21,8 +25,9 @@ class EnvConfig:
     """The environment; all options but `name` are for PettingZoo environments."""
 
     name: str = FARM
-    """farm or another environment of this package, or module:name of a PettingZoo parallel environment or of a callable
-    that returns one, for instance mpe2:simple_spread_v3."""
+    """farm or another environment of this package; module:name of a PettingZoo parallel environment or of a callable
+    that returns one, for instance mpe2:simple_spread_v3; or zenoh:NAME of environments that others serve, NAME with `*`
+    for any letters."""
     arguments: str = "{}"
     """Keyword arguments of the environment as a JSON object, for instance {"N": 3}."""
     types: Mapping[str, str] = FrozenMap()
@@ -40,8 +45,8 @@ class EnvConfig:
         within(0.0, 1e6, step_timeout=self.step_timeout)
         module, colon, member = self.name.partition(":")
         parts = [*module.split("."), *member.split(".")] if colon else [self.name]
-        if not all(part.isidentifier() for part in parts):
-            raise ConfigError(f"env.name must be farm or module:name, not {self.name!r}.")
+        if not (self.served or all(part.isidentifier() for part in parts)):
+            raise ConfigError(f"env.name must be farm, module:name or zenoh:NAME, not {self.name!r}.")
         self.keywords()
         freeze(self, "types")
         if unnamed := [prefix for prefix, kind in self.types.items() if not is_name(kind)]:
@@ -53,6 +58,11 @@ class EnvConfig:
     def is_third_party(self) -> bool:
         """Whether making it imports and runs code from outside this package."""
         return ":" in self.name
+
+    @property
+    def served(self) -> str:
+        """The pattern of the names of environments that others serve, or empty for any other environment."""
+        return self.name.removeprefix(ZENOH) if _SERVED.fullmatch(self.name) else ""
 
     def keywords(self) -> dict[str, Any]:
         """Return `arguments` as a map; raise ConfigError when they are no JSON object."""

@@ -176,13 +176,16 @@ class RunConfig:
     def with_environment(self, name: str) -> "RunConfig":
         """Return the run with another environment; maps by type are empty then, because its types are others.
 
+        A worker holds one environment that others serve, because each may be a robot.
+
         Raises:
             ConfigError: the name cannot be read.
         """
         if name == self.env.name:
             return self
         env, algorithm = replace(self.env, name=name), self.algorithm
-        return replace(self, env=without_entries(env), algorithm=without_entries(algorithm))
+        rollout = replace(self.rollout, environments=1) if env.served else self.rollout
+        return replace(self, env=without_entries(env), algorithm=without_entries(algorithm), rollout=rollout)
 
     @property
     def unused_sections(self) -> tuple[str, ...]:

@@ -7,11 +7,13 @@ all of it.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.keys import KeyFamily
-from eia_sec.common.transport.credentials import Identity
+
+if TYPE_CHECKING:
+    from eia_sec.common.transport.credentials import Identity  # links without TLS do without cryptography
 
 NAME: Final = "{name}"
 """Placeholder for the name in the holder's certificate."""
@@ -123,6 +125,11 @@ GRANTS: Final = (
     Grant("flight", "read", keys.OBSERVATION),
     Grant("flight", "put", keys.SETPOINT),
     *_own("flight"),
+    Grant("environment", "answer", keys.ENVIRONMENT, {"environment": NAME}),
+    Grant("environment", "appear", keys.ENVIRONMENT_LIVE, {"environment": NAME}),
+    Grant("environment", "watch", keys.ENVIRONMENT_LIVE, {"environment": NAME}),
+    *(Grant(role, "ask", keys.ENVIRONMENT) for role in ("learner", "rollout")),
+    *(Grant(role, "watch", keys.ENVIRONMENT_LIVE) for role in ("learner", "rollout")),
     Grant("watcher", "watch", keys.LIVE),
     Grant("watcher", "ask", keys.WATCH),
     Grant("watcher", "read", keys.VIEW),
@@ -136,7 +143,7 @@ def grants_of(role: str) -> tuple[Grant, ...]:
     return tuple(grant for grant in GRANTS if grant.role in (role, ANYBODY))
 
 
-def access_control(members: Iterable[Identity], enabled: bool = True) -> dict[str, Any]:
+def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[str, Any]:
     """Return Zenoh's `access_control` for a process that listens: default deny, and an allow-list.
 
     Args:

@@ -15,14 +15,21 @@ This table repeats the declarations below; a test compares the two. ROOT and the
     live/{role}/{name}            token    everyone -> everybody
     flight/{vehicle}/observation  lossy    vehicle -> flight node   ObservationMessage
     flight/{vehicle}/setpoint     lossy    flight node -> vehicle   SetpointMessage
+    request/{environment}/{verb}  request  worker -> environment    ClaimRequest, StepRequest, LeaseRequest,
+                                                                    ClaimAnswer, StepAnswer, LeaseAnswer
+    live/{environment}            token    environment -> worker
 
 - request: repeated until it is answered; the table lists the request's message first and the answers last.
 - state: the latest value wins, and late joiners get it.
 - lossy: may be dropped; a counter in the message shows gaps.
 - token: Zenoh liveliness; it exists as long as the process is connected.
+
+A served environment belongs to no run: ENVIRONMENT_ROOT precedes the last two. docs/reference/remote_protocol.md says
+what a program without this package needs to know of them.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -32,8 +39,12 @@ from eia_sec.common.protocol.frame import PROTOCOL
 
 ROOT: Final = f"eia-sec/v{PROTOCOL}"
 """Every key begins with this and the run's name."""
+ENVIRONMENT_ROOT: Final = "eia-sec/environment/v1"
+"""Every key of a served environment begins with this. Its version is its own: a robot's program outlives PROTOCOL."""
 VERBS: Final = ("configuration", "lead", "drain")
 """Commands that the learner knows; a command's key ends in its verb."""
+ENVIRONMENT_VERBS: Final = ("claim", "step", "renew", "release")
+"""What a worker asks of a served environment; the request's key ends in it."""
 
 Delivery = Literal["request", "state", "lossy", "token"]
 
@@ -43,12 +54,14 @@ class KeyFamily:
     """All keys of one shape.
 
     Attributes:
-        template: the segments after the run's name, variables in braces.
+        template: the segments after the run's name, or after `root`; variables in braces.
         delivery: see the module's docstring.
         sender: who publishes or asks.
         receiver: who reads or answers.
-        messages: names of the message types in `eia_sec.common.protocol.messages` that it carries, answers last.
+        messages: names of the message types in `eia_sec.common.protocol.messages` that it carries, answers last; those
+            of environments are in `eia_sec.common.protocol.environment_messages`.
         pace: how often messages are sent.
+        root: what precedes the template of a family that belongs to no run, else empty.
     """
 
     template: str
@@ -57,19 +70,26 @@ class KeyFamily:
     receiver: str
     messages: tuple[str, ...]
     pace: str
+    root: str = ""
 
-    def key(self, run: str, **variables: str) -> str:
+    @property
+    def shown(self) -> str:
+        """The template as tables show it: a family of no run with its root."""
+        return f"{self.root}/{self.template}" if self.root else self.template
+
+    def key(self, run: str = "", **variables: str) -> str:
         """Return the key for a run; raise ConfigError when a name cannot be a key segment."""
-        for name, value in {"run": run, **variables}.items():
-            check_name(value, name)
-        return f"{ROOT}/{run}/{self.template.format(**variables)}"
+        return f"{self._before(run, variables)}/{self.template.format(**variables)}"
 
-    def pattern(self, run: str, **variables: str) -> str:
+    def pattern(self, run: str = "", **variables: str) -> str:
         """Return the key expression of the family in one run; variables that are not given become wildcards."""
-        for name, value in {"run": run, **variables}.items():
-            check_name(value, name)
         wildcards = dict.fromkeys(re.findall(r"{([a-z]+)}", self.template), "*")
-        return f"{ROOT}/{run}/{self.template.format(**{**wildcards, **variables})}"
+        return f"{self._before(run, variables)}/{self.template.format(**{**wildcards, **variables})}"
+
+    def _before(self, run: str, variables: Mapping[str, str]) -> str:
+        for name, value in variables.items():
+            check_name(value, name)
+        return self.root or f"{ROOT}/{check_name(run, 'run')}"
 
 
 EVERY_PROCESS: Final = "learner, coordinator, workers, flight nodes"
@@ -179,6 +199,25 @@ SETPOINT: Final = KeyFamily(
     pace="every period of the flight node, 10 per second by default",
 )
 
+ENVIRONMENT: Final = KeyFamily(
+    template="request/{environment}/{verb}",
+    delivery="request",
+    sender="worker",
+    receiver="environment",
+    messages=("ClaimRequest", "StepRequest", "LeaseRequest", "ClaimAnswer", "StepAnswer", "LeaseAnswer"),
+    pace=f"for each step of a served environment; the verbs are {', '.join(ENVIRONMENT_VERBS)}",
+    root=ENVIRONMENT_ROOT,
+)
+ENVIRONMENT_LIVE: Final = KeyFamily(
+    template="live/{environment}",
+    delivery="token",
+    sender="environment",
+    receiver="worker",
+    messages=(),
+    pace="while it is served",
+    root=ENVIRONMENT_ROOT,
+)
+
 FAMILIES: Final = (
     TRANSITION,
     PARAMETERS,
@@ -193,6 +232,8 @@ FAMILIES: Final = (
     LIVE,
     OBSERVATION,
     SETPOINT,
+    ENVIRONMENT,
+    ENVIRONMENT_LIVE,
 )
 
 
@@ -202,7 +243,7 @@ class ParsedKey:
 
     Attributes:
         family: the declaration that covers it.
-        run: the run's name.
+        run: the run's name; empty for a family of no run.
         variables: the values of the template's variables.
     """
 
@@ -213,14 +254,14 @@ class ParsedKey:
 
 def parse(key: str) -> ParsedKey:
     """Parse a concrete key; raise KeyExpressionError for wildcards and for keys of no family."""
-    head, segments = key.split("/")[:2], key.split("/")[2:]
-    if "/".join(head) != ROOT or len(segments) < 3 or not all(map(is_name, segments)):
-        raise KeyExpressionError(f"{key[:120]!r} is not a key of {ROOT}.")
-    run, rest = segments[0], segments[1:]
-    for family in FAMILIES:
-        template = family.template.split("/")
-        if len(template) == len(rest):
-            variables = {t[1:-1]: part for t, part in zip(template, rest, strict=True) if t.startswith("{")}
-            if all(t.startswith("{") or t == part for t, part in zip(template, rest, strict=True)):
-                return ParsedKey(family, run, variables)
+    segments = key.split("/")
+    if all(map(is_name, segments)):
+        for family in FAMILIES:
+            root = (family.root or f"{ROOT}/{{run}}").split("/")
+            shape = [*root, *family.template.split("/")]
+            if len(shape) == len(segments):
+                pairs = list(zip(shape, segments, strict=True))
+                if all(part.startswith("{") or part == segment for part, segment in pairs):
+                    found = {part[1:-1]: segment for part, segment in pairs if part.startswith("{")}
+                    return ParsedKey(family, found.pop("run", ""), found)
     raise KeyExpressionError(f"{key[:120]!r} belongs to no family of keys.")

@@ -160,6 +160,8 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("paused", "", "why its actors are too old to simulate with, or empty"),
         Metric("paused_seconds", "s", "time for which its actors were too old"),
         Metric("outages", "", "times that an environment's simulator or robot went away"),
+        Metric("steps_resent", "", "requests to a served environment that were sent again"),
+        Metric("answers_refused", "", "answers of served environments that could not be used or were a refusal"),
         Metric("watchers", "", "number of watchers now"),
         Metric("shown", _STEPS, "steps published to watchers"),
         Metric("skipped", _STEPS, "steps simulated while somebody watched, but not published"),

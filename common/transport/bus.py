@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import zenoh
 from zenoh import ext
@@ -22,10 +22,14 @@ from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
 from eia_sec.common.loops import Loop, run
 from eia_sec.common.text import printable
-from eia_sec.common.transport.credentials import Credentials
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 from eia_sec.common.transport.handshake import complaint, silence
 from eia_sec.common.transport.zenoh_config import Values, connecting, listening, routing
+
+if TYPE_CHECKING:
+    from eia_sec.common.transport.credentials import (
+        Credentials,
+    )  # loads cryptography, which links without TLS do without
 
 LIVING_SECONDS: Final = 1.0
 """Longest wait for a list of the live tokens."""
@@ -146,6 +150,27 @@ class Subscription:
             yield sample
 
 
+class Request:
+    """A sent request."""
+
+    def __init__(self, replies: Any) -> None:
+        self._replies = replies
+
+    def answer(self) -> bytes | None:
+        """Wait for the answer without polling, which takes half the time of `Bus.ask` where it comes at once.
+
+        Returns:
+            The answer, or None when nobody serves the key, the time ran out, or the bus was closed.
+
+        Raises:
+            BusError: when the server refused; the message holds its reason.
+        """
+        try:
+            return _answered(self._replies.recv())
+        except zenoh.ZError:
+            return None
+
+
 class Publisher:
     """Puts on one key."""
 
@@ -171,7 +196,7 @@ class Bus:
         BusClosedError: after `close`.
     """
 
-    def __init__(self, session: zenoh.Session, credentials: Credentials | None = None) -> None:
+    def __init__(self, session: zenoh.Session, credentials: "Credentials | None" = None) -> None:
         self.credentials = credentials
         self._session = session
         self._pid = os.getpid()
@@ -231,9 +256,16 @@ class Bus:
                     raise EndpointError(silence(endpoint, lane)) from error
                 time.sleep(0.2)
 
-    def serve(self, key: str, capacity: int) -> Server:
-        """Receive requests on a key expression."""
-        channel: Any = zenoh.handlers.FifoChannel(capacity)
+    def serve(self, key: str, capacity: int, *, newest: bool = False) -> Server:
+        """Receive requests on a key expression.
+
+        Args:
+            key: the key expression.
+            capacity: how many may wait.
+            newest: whether a request beyond them ends the oldest unanswered; else the link waits, with all that is
+                on it.
+        """
+        channel: Any = zenoh.handlers.RingChannel(capacity) if newest else zenoh.handlers.FifoChannel(capacity)
         return Server(self._open().declare_queryable(key, channel, complete=True), capacity)
 
     def ask(
@@ -307,6 +339,10 @@ class Bus:
             )
         except zenoh.ZError as error:
             raise BusClosedError(f"the bus is closed: {error}") from error
+
+    def request(self, key: str, payload: bytes, timeout: float) -> "Request":
+        """Send a request whose answer is waited for later; `ask` does both at once, for less haste."""
+        return Request(self._request(key, payload, timeout, b""))
 
     def publish(self, key: str) -> Publisher:
         """Publish lossy puts on a key."""

@@ -14,7 +14,18 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from eia_sec.common.errors import CredentialsError
 from eia_sec.common.names import is_name
 
-ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
+ROLES: Final = (
+    "learner",
+    "router",
+    "flight",
+    "rollout",
+    "elite",
+    "operator",
+    "monitor",
+    "watcher",
+    "vehicle",
+    "environment",
+)
 """Roles that a certificate can name; only the first three listen."""
 LISTENING: Final = ("learner", "router", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"

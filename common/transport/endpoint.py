@@ -10,10 +10,14 @@ import secrets
 import socket
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from eia_sec.common.errors import EndpointError
-from eia_sec.common.transport.credentials import Credentials, load
+
+if TYPE_CHECKING:
+    from eia_sec.common.transport.credentials import (
+        Credentials,
+    )  # loads cryptography, which links without TLS do without
 
 Lane = Literal["control", "bulk"]
 DEFAULT: Final = "tcp/127.0.0.1:7447"
@@ -43,7 +47,7 @@ class Endpoint:
     protocol: str
     host: str
     port: int
-    credentials: Credentials | None = None
+    credentials: "Credentials | None" = None
     shared_memory: bool = False
 
     @classmethod
@@ -64,6 +68,8 @@ class Endpoint:
             raise EndpointError(f"{text!r} is not an endpoint; write tcp/HOST:PORT with a port of 1 to 65534.")
         endpoint = cls(match[1], match[2], int(match[3]), shared_memory=shared_memory)
         if tls is not None:
+            from eia_sec.common.transport.credentials import load  # noqa: PLC0415  (loads cryptography)
+
             return replace(endpoint, protocol="tls", credentials=load(tls))
         if endpoint.protocol == "tls":
             raise EndpointError(f"{text} needs a certificate: pass --tls FOLDER, made by `eia-sec keys issue`.")

@@ -3,10 +3,14 @@
 import contextlib
 import socket
 import ssl
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from eia_sec.common.transport.credentials import Credentials
 from eia_sec.common.transport.endpoint import Endpoint, Lane
+
+if TYPE_CHECKING:
+    from eia_sec.common.transport.credentials import (
+        Credentials,
+    )  # loads cryptography, which links without TLS do without
 
 CONNECT_SECONDS: Final = 2.0
 ALERT_SECONDS: Final = 0.5
@@ -68,7 +72,7 @@ def _dial(endpoint: Endpoint, lane: Lane) -> socket.socket:
     return socket.create_connection((endpoint.host.strip("[]"), port), CONNECT_SECONDS)
 
 
-def _compare(link: socket.socket, where: str, host: str, credentials: Credentials) -> str | None:
+def _compare(link: socket.socket, where: str, host: str, credentials: "Credentials") -> str | None:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_verify_locations(credentials.ca)

@@ -5,12 +5,16 @@ by multicast and gossip is always off.
 """
 
 import json
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from eia_sec.common.protocol.access import access_control
 from eia_sec.common.protocol.frame import MAX_FRAME
-from eia_sec.common.transport.credentials import Credentials
 from eia_sec.common.transport.endpoint import Endpoint, Lane
+
+if TYPE_CHECKING:
+    from eia_sec.common.transport.credentials import (
+        Credentials,
+    )  # loads cryptography, which links without TLS do without
 
 LEASE_MS: Final = 4000
 """A peer that is silent for this long counts as gone."""
@@ -105,7 +109,7 @@ def connecting(endpoint: Endpoint, lane: Lane) -> Values:
     return values
 
 
-def _tls(credentials: Credentials) -> Values:
+def _tls(credentials: "Credentials") -> Values:
     return {
         "root_ca_certificate": str(credentials.ca),
         "enable_mtls": True,

@@ -155,7 +155,7 @@ class RunDirectory:
         Raises:
             RunDirError: the folder holds a run of another team, or this user may not write here.
         """
-        held = self._team() if (self.path / METRICS).exists() else None
+        held = self.team() if (self.path / METRICS).exists() else None
         if held is not None and held != team:
             raise RunDirError(
                 f"the run in {self.path} is for {described(held)}, but this environment has {described(team)}."
@@ -168,8 +168,8 @@ class RunDirectory:
         except OSError as error:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
 
-    def _team(self) -> TeamSpec | None:
-        """Return the team of the run here, or None where none was stored."""
+    def team(self) -> TeamSpec | None:
+        """Return the team of the run here, or None where none was stored; raise RunDirError if it is damaged."""
         try:
             with (self.path / TEAM).open("rb") as file:
                 return TeamSpec.from_dict(json.loads(file.read(MOST_TEAM_BYTES)))

@@ -29,7 +29,7 @@ def keys_table() -> str:
     return table(
         ["key", "delivery", "from", "to", "messages", "how often"],
         [
-            [f"`{f.template}`", f.delivery, f.sender, f.receiver, ", ".join(f.messages) or "-", f.pace]
+            [f"`{f.shown}`", f.delivery, f.sender, f.receiver, ", ".join(f.messages) or "-", f.pace]
             for f in keys.FAMILIES
         ],
     )

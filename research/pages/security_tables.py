@@ -44,7 +44,7 @@ def access_table() -> str:
     lines = [f"| key | {' | '.join(shown)} |", "|---" * (len(shown) + 1) + "|"]
     for family in keys.FAMILIES:
         cells = [", ".join(sorted(rows[family.template].get(role, ["-"]), key=_order)) for role in shown]
-        lines.append(f"| `{family.template}` | {' | '.join(cells)} |")
+        lines.append(f"| `{family.shown}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -10,6 +10,7 @@ There is no automatic reset. Where episodes differ in length, a finished environ
 until its reset. Farm episodes all have the same length, and a finished farm refuses to step.
 """
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.common.transport.bus import Bus
 
 
 class Patience(Protocol):
@@ -31,6 +33,19 @@ class Patience(Protocol):
 
     def over(self) -> None:
         """Note that one is back."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How environments are reached that others serve.
+
+    Attributes:
+        bus: the control lane.
+        holder: under which name they are claimed.
+    """
+
+    bus: Bus
+    holder: str
 
 
 class Environments(Protocol):

@@ -18,6 +18,7 @@ import threading
 import time
 import traceback
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -84,6 +85,14 @@ class Running:
         return time.monotonic() - self.since
 
 
+class Ahead(ABC):
+    """An environment that takes a step's actions before the step, so that several move at the same time."""
+
+    @abstractmethod
+    def ahead(self, actions: By) -> None:
+        """Note the actions of the step that follows."""
+
+
 class Guard:
     """A user's PettingZoo parallel environment, whose code is only called here.
 
@@ -137,6 +146,11 @@ class Guard:
             observations, infos = found
             self._follow(method, observations, infos)
         return observations, infos
+
+    def ahead(self, actions: By) -> None:
+        """Note the actions of the step that follows, if that is of use to the environment."""
+        if isinstance(self.wrapped, Ahead):
+            self.wrapped.ahead(actions)
 
     def step(self, actions: By) -> Step:
         """Let the living agents act.

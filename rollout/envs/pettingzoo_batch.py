@@ -35,6 +35,7 @@ class PettingZooBatch:
         boxes: whether environments with a choice are asked for boxes; see `make_parallel`.
         patience: what to do while a simulator or robot is away. With it, an outage in a step truncates the episode, and
             making and resetting are tried until they succeed. Without it, `EnvironmentOutageError` passes through.
+        make: makes each environment; by default what the name says.
 
     Attributes:
         team: layout of a row, type by type.
@@ -56,15 +57,23 @@ class PettingZooBatch:
     """
 
     def __init__(
-        self, config: EnvConfig, environments: int, *, boxes: bool = True, patience: Patience | None = None
+        self,
+        config: EnvConfig,
+        environments: int,
+        *,
+        boxes: bool = True,
+        patience: Patience | None = None,
+        make: Callable[..., Any] | None = None,
     ) -> None:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
         self._limit = config.steps or MOST_EPISODE_STEPS
         self._patience, self._away = patience, [False] * environments
-        make = partial(make_parallel, config, boxes=boxes)
+        attempt = partial(make_parallel, config, boxes=boxes, make=make)
         with ExitStack() as made:
-            self._environments = [made.enter_context(closing(self._until_back(k, make))) for k in range(environments)]
+            self._environments = [
+                made.enter_context(closing(self._until_back(k, attempt))) for k in range(environments)
+            ]
             agents = describe(self._environments[0], config.types)
             self._open = made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
@@ -106,11 +115,14 @@ class PettingZooBatch:
             raise SimulationError(f"actions must be finite numbers of shape {list(wanted)}.")
         if self.time.min() < 0 or self.ended.all():
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
-        for index, row in enumerate(self._actions.in_range(action)):
-            if self.ended[index]:
-                self.reward[index] = 0.0
-            else:
-                self._step(index, row)
+        rows = self._actions.in_range(action)
+        running = [index for index in range(len(rows)) if not self.ended[index]]
+        self.reward[self.ended] = 0.0
+        acts = [self._actions.by_agent(rows[index], set(self._environments[index].agents)) for index in running]
+        for index, actions in zip(running, acts, strict=True):
+            self._environments[index].ahead(actions)
+        for index, actions in zip(running, acts, strict=True):
+            self._step(index, actions)
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return the summary of an environment's episode so far; raise SimulationError before the first."""
@@ -122,11 +134,10 @@ class PettingZooBatch:
         """Close all environments."""
         self._open.close()
 
-    def _step(self, index: int, row: Float32) -> None:
-        environment = self._environments[index]
-        present = set(environment.agents)
+    def _step(self, index: int, actions: dict[Any, Any]) -> None:
+        environment, present = self._environments[index], set(actions)
         try:
-            step = environment.step(self._actions.by_agent(row, present))
+            step = environment.step(actions)
         except EnvironmentOutageError as error:
             self._break_off(index, error)
             return

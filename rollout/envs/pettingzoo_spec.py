@@ -41,20 +41,21 @@ class Agents:
     actions: dict[Any, spaces.Space[Any]]
 
 
-def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Guard:
+def make_parallel(config: EnvConfig, *, boxes: bool = True, make: Callable[..., Any] | None = None) -> Guard:
     """Return a new environment.
 
     Args:
         config: its name and arguments.
         boxes: whether an environment whose agents do not all act in boxes is asked for boxes with
             `continuous_actions=True`. It is asked in any case if its actions cannot be trained otherwise.
+        make: makes it; by default what the name says.
 
     Raises:
         ConfigError: no environment has that name, or its actions cannot be trained.
         ContractError: it is no parallel environment.
         EnvironmentFaultError: it cannot be imported or made.
     """
-    make, keywords = factory(config.name), config.keywords()
+    make, keywords = make or factory(config.name), config.keywords()
     with ExitStack() as rejected:
         environment = rejected.enter_context(closing(Guard(config.name, make, keywords)))
         found = _suitable(config, make, environment, boxes=boxes)

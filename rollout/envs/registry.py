@@ -11,13 +11,13 @@ from typing import Final
 
 from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.action_kinds import discrete_algorithms
-from eia_sec.common.config.environment import FARM
+from eia_sec.common.config.environment import FARM, MOST_EPISODE_STEPS
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.team import TeamSpec
-from eia_sec.rollout.envs.base import Environments, Patience
+from eia_sec.rollout.envs.base import Environments, Patience, Reach
 from eia_sec.rollout.heuristics.random import RandomPolicy
 
 TRIAL_STEPS: Final = 3
@@ -32,10 +32,18 @@ def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
     return make_farms(config.farm, count, config.rollout.threads, hindsight)
 
 
-def _pettingzoo(config: RunConfig, count: int, patience: Patience | None) -> Environments:
+def _pettingzoo(config: RunConfig, count: int, patience: Patience | None, reach: Reach | None) -> Environments:
     from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
-    return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions, patience=patience)
+    make = None
+    if config.env.served:
+        from eia_sec.rollout.remote.served import ServedEnvironments  # noqa: PLC0415  (likewise)
+
+        if reach is None:
+            raise ConfigError(f"{config.env.name} is reached from train, rollout and evaluate only.")
+        make = ServedEnvironments(reach, config.env.served).make
+    boxes = not config.algorithm.discrete_actions
+    return PettingZooBatch(config.env, count, boxes=boxes, patience=patience, make=make)
 
 
 FACTORIES: Final[dict[str, Factory]] = {
@@ -45,7 +53,11 @@ FACTORIES: Final[dict[str, Factory]] = {
 
 
 def make_environments(
-    config: RunConfig, count: int, hindsight: bool = False, patience: Patience | None = None
+    config: RunConfig,
+    count: int,
+    hindsight: bool = False,
+    patience: Patience | None = None,
+    reach: Reach | None = None,
 ) -> Environments:
     """Return `count` environments of a run.
 
@@ -54,13 +66,14 @@ def make_environments(
         count: how many.
         hindsight: whether to track `Environments.hindsight`; where there is none, it stays None.
         patience: what to do while a simulator or robot is away; without it, `EnvironmentOutageError` passes through.
+        reach: how environments are reached that others serve.
 
     Raises:
         ConfigError: the environment that the configuration names does not exist or cannot be trained,
             or a farm cannot track hindsight.
     """
     if config.env.is_third_party:
-        return _pettingzoo(config, count, patience)
+        return _pettingzoo(config, count, patience, reach)
     if config.env.name not in FACTORIES:
         raise ConfigError(
             f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
@@ -69,13 +82,14 @@ def make_environments(
     return FACTORIES[config.env.name](config, count, hindsight)
 
 
-def environment_spec(config: RunConfig, *, trial: bool = False) -> EnvironmentSpec:
+def environment_spec(config: RunConfig, *, trial: bool = False, reach: Reach | None = None) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 
     Args:
         config: the run.
         trial: whether an environment from outside is also tried for TRIAL_STEPS steps with random actions, so that
             its mistakes show before any process of a run starts.
+        reach: how environments are reached that others serve.
 
     Raises:
         ConfigError: as for `make_environments`; the algorithm cannot train these actions; or a chunk, the actors or an
@@ -86,11 +100,16 @@ def environment_spec(config: RunConfig, *, trial: bool = False) -> EnvironmentSp
     if farm is not None and not farm.battery.watched:
         # Without loading the simulator.
         return _trainable(config, _farm_spec(farm))
-    with patient_with(config), closing(make_environments(config, 1)) as environments:
+    with patient_with(config), closing(make_environments(config, 1, reach=reach)) as environments:
         spec = _trainable(config, environments.spec)
         if trial and config.env.is_third_party:
             _try(environments)
     return spec
+
+
+def served_spec(config: RunConfig, team: TeamSpec) -> EnvironmentSpec:
+    """Return the description of environments that others serve, whose team is known; raises as `environment_spec`."""
+    return _trainable(config, EnvironmentSpec(team, (1, config.env.steps or MOST_EPISODE_STEPS)))
 
 
 def patient_with(config: RunConfig) -> AbstractContextManager[None]:
@@ -123,6 +142,11 @@ def _try(environments: Environments) -> None:
 def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
     """Return the description; raise ConfigError if it cannot be trained."""
     _require_actions(config, spec.team)
+    if config.env.served and config.imitates and config.elite.enabled:
+        raise ConfigError(
+            f"{config.algorithm.name} evaluates elites beside training, which environments that others serve do not "
+            "allow: add --elite.no-enabled, or choose another algorithm."
+        )
     require_frames(config, spec)
     return spec
 

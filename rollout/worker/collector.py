@@ -15,7 +15,7 @@ from eia_sec.common.protocol.bfloat16 import Bits, to_bits
 from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from eia_sec.rollout.envs.base import Patience
+from eia_sec.rollout.envs.base import Patience, Reach
 from eia_sec.rollout.envs.registry import make_environments
 from eia_sec.rollout.worker.action_sampler import ActionSampler
 from eia_sec.rollout.worker.hindsight_credit import credit_newest, shares_of
@@ -43,6 +43,7 @@ class Collector:
         worker: the worker's name.
         start: number of this start of the worker; the same number repeats the same episodes.
         patience: waits while an environment's simulator or robot is away, see `make_environments`.
+        reach: how environments are reached that others serve.
 
     Attributes:
         environments: the batch.
@@ -57,12 +58,19 @@ class Collector:
         CancelledError: the patience was at an end before all environments had begun.
     """
 
-    def __init__(self, config: RunConfig, worker: str, start: int, patience: Patience | None = None) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        worker: str,
+        start: int,
+        patience: Patience | None = None,
+        reach: Reach | None = None,
+    ) -> None:
         self._config = config
         self._identity = (config.seed, worker, start)
         count = config.rollout.environments
         by_type = config.on_policy.hindsight if config.learns_on_policy else {}
-        self.environments = make_environments(config, count, any(by_type.values()), patience)
+        self.environments = make_environments(config, count, any(by_type.values()), patience, reach)
         self.team = self.environments.team
         self._share = shares_of(self.team, by_type)
         ends = config.learns_on_policy and config.on_policy.time_limit == "terminal"

@@ -34,7 +34,9 @@ from eia_sec.common.protocol.messages import ConfigurationMessage
 from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.rollout.envs.base import Reach
 from eia_sec.rollout.envs.watchdog import Watchdog, call_alarm
+from eia_sec.rollout.remote.lease import COUNTS
 from eia_sec.rollout.worker.collection_gate import CollectionGate
 from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.evaluation_service import EvaluationService
@@ -296,6 +298,8 @@ class Worker:
             "paused": self._gate.pause_reason,
             "paused_seconds": times.paused,
             "outages": self._outages.count,
+            "steps_resent": COUNTS.resent,
+            "answers_refused": COUNTS.refused,
             "alarms": self._alarms(),
         }
 
@@ -364,6 +368,8 @@ def _work(
     start, name = new_incarnation(answer.newest_incarnation), options.name
     presence, outages = Presence(control, options.run, "rollout", name, start), Outages(stop.event)
 
+    reach = Reach(control, f"{options.run}/{name}")
+
     def report() -> None:
         presence.report({"state": "starting", "alarms": [text for text in (outages.alarm, call_alarm()) if text]})
 
@@ -371,7 +377,7 @@ def _work(
     try:
         with (
             closing(Watchdog(config.env.step_timeout, report, lambda: bool(stop))) as watchdog,
-            closing(Collector(config, name, 0 if answer.lockstep else start, outages)) as collector,
+            closing(Collector(config, name, 0 if answer.lockstep else start, outages, reach)) as collector,
         ):
             worker = Worker(options, config, answer, control, bulk, stop, presence, collector, start, outages)
             watchdog.speak = worker.report

@@ -37,7 +37,7 @@ class IssueArguments(_InFolder):
     """Make the key and certificate of one process and add it to the members."""
 
     role: Role = ""
-    """learner, router, flight, rollout, elite, operator, monitor, watcher or vehicle."""
+    """learner, router, flight, rollout, elite, operator, monitor, watcher, vehicle or environment."""
     name: Name = ""
     """The process's name: a worker's `--name`, "learner" for the learner."""
     host: tuple[str, ...] = ()

@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
@@ -16,10 +17,13 @@ from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import PolicyError, RunDirError, UsageError
 from eia_sec.common.farm import require_farm
 from eia_sec.common.policy_file import load_policy
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from eia_sec.deploy.local.served_environments import reached, when_served
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from eia_sec.deploy.reports.comparison_tables import comparison_table
+from eia_sec.rollout.envs.base import Reach
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run
 from eia_sec.rollout.heuristics.registry import RELAYS, TASKS
 from eia_sec.rollout.policies import POLICIES, SampledPolicy, run_policy
@@ -50,6 +54,10 @@ class EvaluateArguments:
     """Episodes on each farm."""
     env: str | None = None
     """Environment other than the farm, module:name; needed for runs that use one, because loading it runs its code."""
+    endpoint: str = DEFAULT
+    """Where environments connect to that others serve (--env zenoh:NAME); this command listens there meanwhile."""
+    tls: Path | None = None
+    """Folder with the learner's certificate, if those environments have certificates."""
     json: bool = False
     """Print JSON instead of a table."""
     config: Path | None = None
@@ -91,11 +99,29 @@ def evaluations(arguments: EvaluateArguments) -> list[Evaluation]:
     config = configuration_of(arguments)
     name = policy_name(arguments)
     shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
-    found = [evaluate_run(config, run_policy(name, config), farms, arguments.episodes, name=shown)]
+    policies = {shown: run_policy(name, config)}
     if is_file(Path(name)) and (actors := load_policy(Path(name))[0]).draws:
-        drawn = f"{shown}, sampled"
-        found.append(evaluate_run(config, SampledPolicy(actors), farms, arguments.episodes, name=drawn))
-    return found
+        policies[f"{shown}, sampled"] = SampledPolicy(actors)
+    with _reach(arguments, config) as reach:
+        return [
+            evaluate_run(config, policy, farms, arguments.episodes, name=name, reach=reach)
+            for name, policy in policies.items()
+        ]
+
+
+@contextmanager
+def _reach(arguments: EvaluateArguments, config: RunConfig) -> Iterator[Reach | None]:
+    """Listen for environments that others serve, and wait for a first one; for others there is nothing to do."""
+    if not config.env.served:
+        yield None
+        return
+    from eia_sec.rollout.remote.served import copies_of  # noqa: PLC0415  (pettingzoo loads only for its users)
+
+    endpoint = Endpoint.parse(arguments.endpoint, arguments.tls)
+    endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
+    with reached(endpoint, "evaluate") as reach:
+        when_served(config, endpoint, lambda: copies_of(reach, config.env.served))
+        yield reach
 
 
 def policy_name(arguments: EvaluateArguments) -> str:

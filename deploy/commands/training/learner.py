@@ -10,17 +10,19 @@ import tyro
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
+from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import UsageError
 from eia_sec.common.log import log
 from eia_sec.common.names import check_name
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.learner.networks.device import usable_device
 from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.service import serve
-from eia_sec.rollout.envs.registry import environment_spec
+from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 
@@ -84,7 +86,7 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.require_private(options.insecure)
     # What cannot be trained, or cannot be begun with, is refused before any file is written.
     usable_device(options.settings.learner.device)
-    environment = environment_spec(options.settings)
+    environment = _environment(options, endpoint)
     if not resume:
         options.settings.algorithm.require_types([group.name for group in environment.team.groups])
         start_parameters(options.settings, environment.team)
@@ -109,6 +111,17 @@ def command(arguments: Sequence[str]) -> int:
         environment,
     )
     return 0
+
+
+def _environment(options: LearnerArguments, endpoint: Endpoint) -> EnvironmentSpec:
+    """Return the run's environment; that of a run directory is known, and one that others serve is asked for."""
+    config = options.settings
+    if not config.env.served:
+        return environment_spec(config)
+    team = None if options.run_dir is None else RunDirectory(options.run_dir).team()
+    if team is not None:
+        return served_spec(config, team)
+    return tried_spec(config, endpoint, connect=options.connect is not None)
 
 
 def _start(config: RunConfig, team: TeamSpec) -> StartParameters:

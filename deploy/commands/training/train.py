@@ -1,5 +1,6 @@
 """`eia-sec train`: all processes of a run on this machine, with a live view and a report at the end."""
 
+import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,9 +21,10 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
-from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
 from eia_sec.deploy.exit_codes import USAGE
 from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory, new_folder
+from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.supervisor import Supervisor
 from eia_sec.deploy.local.threads import allowed_cores
 from eia_sec.deploy.monitor.live_view import render, summary
@@ -30,7 +32,7 @@ from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
-from eia_sec.rollout.envs.registry import environment_spec
+from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 REFRESH_SECONDS = 0.5
@@ -63,7 +65,8 @@ class TrainArguments:
     lockstep: bool = False
     """Alternate strictly with one worker: the weights are bit-equal to training in a single process."""
     endpoint: str | None = None
-    """Loopback endpoint of the learner. Default: free ports."""
+    """Endpoint of the learner: a loopback address, or with --tls any of this machine. Default: free ports, and
+    tcp/127.0.0.1:7447 for environments that others serve."""
     tls: Path | None = None
     """Folder of `eia-sec keys` with a certificate for each process; turns TLS on."""
     shared_memory: bool = False
@@ -81,16 +84,16 @@ def command(arguments: Sequence[str]) -> int:
     if options.resume and options.run_dir is None:
         raise UsageError("--resume needs --run-dir.")
     workers = worker_count(options)
+    endpoint = _endpoint(options, workers)
+    endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
-    environment = environment_spec(options.settings, trial=True)
+    environment = _environment(options, endpoint)
     team = environment.team
     start: StartParameters = ()
     if not options.resume:
         options.settings.algorithm.require_types([group.name for group in team.groups])
         start = start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
-    endpoint = _endpoint(options, workers)
-    endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     stamp = time.strftime("%Y%m%d-%H%M%S")
     chosen = options.preset or preset_for(options.settings.env.name)
     directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{chosen}-{stamp}"))
@@ -109,7 +112,11 @@ def command(arguments: Sequence[str]) -> int:
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
     _Training(options, workers, directory, endpoint, console).run()
     finished = directory.finished()
-    if finished and options.report:
+    if finished and options.settings.env.served:
+        # A robot moves only as long as it was asked to.
+        again = f"eia-sec evaluate --run-dir {directory.path} --env {shlex.quote(options.settings.env.name)}"
+        console.print(f"finished; evaluate with: {again} --endpoint {endpoint}", highlight=False, soft_wrap=True)
+    elif finished and options.report:
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
         write_report(directory, options.settings, command_line(arguments, options.workers, workers), console)
@@ -145,7 +152,7 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more = "" if options.workers is None else f" --workers {options.workers}"
     more += "" if options.tls is None else f" --tls {options.tls}"
     more += " --shared-memory" if options.shared_memory else ""
-    more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
+    more += f" --env {shlex.quote(options.settings.env.name)}" if options.settings.env.is_third_party else ""
     return f"eia-sec train --run-dir {run} --resume{more}"
 
 
@@ -176,7 +183,7 @@ def _require_device(name: str) -> None:
 
 def _endpoint(options: TrainArguments, workers: int) -> Endpoint:
     """Return where the learner listens, with the operator's certificate; raise when a certificate is missing."""
-    where = options.endpoint or str(free_endpoint())
+    where = options.endpoint or (DEFAULT if options.settings.env.served else str(free_endpoint()))
     if options.tls is None:
         return Endpoint.parse(where)
     for index in range(workers):
@@ -184,6 +191,18 @@ def _endpoint(options: TrainArguments, workers: int) -> Endpoint:
     for process in (LEARNER, COORDINATOR):
         load(options.tls / process)
     return Endpoint.parse(where, options.tls / OPERATOR)
+
+
+def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec:
+    """Return the run's environment after a trial; a run that resumes knows the team of one that others serve."""
+    config = options.settings
+    if not config.env.served:
+        return environment_spec(config, trial=True)
+    team = RunDirectory(options.run_dir).team() if options.resume and options.run_dir is not None else None
+    if team is not None:
+        return served_spec(config, team)
+    listener = endpoint if options.tls is None else Endpoint.parse(str(endpoint), options.tls / LEARNER)
+    return tried_spec(config, listener)
 
 
 class _Training:

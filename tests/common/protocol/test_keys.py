@@ -1,18 +1,26 @@
 """Keys are formatted and parsed by one table, and nothing else is a key."""
 
 import re
+import textwrap
 from typing import cast
 
 import pytest
 
 from eia_sec.common.errors import ConfigError, KeyExpressionError
-from eia_sec.common.protocol import codec, keys, messages
+from eia_sec.common.protocol import codec, environment_messages, keys, messages
 from eia_sec.common.protocol.codec import Message
 from eia_sec.common.protocol.messages import ConfigurationMessage
 from eia_sec.common.transport.bus import Server
 from eia_sec.learner.process.command_server import CommandServer
 
-VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain", "vehicle": "uav-7"}
+VARIABLES = {
+    "worker": "w-1",
+    "role": "rollout",
+    "name": "n.2",
+    "verb": "drain",
+    "vehicle": "uav-7",
+    "environment": "site-a",
+}
 
 
 @pytest.mark.parametrize("family", keys.FAMILIES, ids=lambda family: family.template)
@@ -20,7 +28,7 @@ def test_parse_reverses_key(family: keys.KeyFamily) -> None:
     """Every family's key is parsed back to the family and its variables."""
     wanted = {name: VARIABLES[name] for name in re.findall(r"{([a-z]+)}", family.template)}
     parsed = keys.parse(family.key("run-1", **wanted))
-    assert (parsed.family, parsed.run, parsed.variables) == (family, "run-1", wanted)
+    assert (parsed.family, parsed.run, parsed.variables) == (family, "" if family.root else "run-1", wanted)
 
 
 @pytest.mark.parametrize(
@@ -34,6 +42,9 @@ def test_parse_reverses_key(family: keys.KeyFamily) -> None:
         "eia-sec/v5/run/params/other",
         "other/v1/run/transition/w",
         "eia-sec/v5/run/transition/$*",
+        "eia-sec/v5/run/request/site-a/step",
+        "eia-sec/environment/v1/request/site-a",
+        "eia-sec/environment/v0/live/site-a",
         "",
     ],
 )
@@ -61,7 +72,8 @@ def test_the_docstrings_table_is_that_of_the_declarations() -> None:
     rows = []
     for family in keys.FAMILIES:
         who = f"{'everyone' if ',' in family.sender else family.sender} -> {family.receiver}"
-        rows.append(f"    {family.template:<30}{family.delivery:<9}{who:<25}{', '.join(family.messages)}".rstrip())
+        row = f"    {family.template:<30}{family.delivery:<9}{who:<25}{', '.join(family.messages)}"
+        rows += textwrap.wrap(row, 120, subsequent_indent=" " * 68, break_on_hyphens=False, drop_whitespace=True)
     lines = (keys.__doc__ or "").splitlines()
     assert [line for line in lines if line.startswith("    ")] == rows
 
@@ -70,7 +82,9 @@ def test_every_family_is_listed_and_named_types_exist() -> None:
     """A declaration that is not in FAMILIES would never be parsed; a type that does not exist never decoded."""
     declared = [value for value in vars(keys).values() if isinstance(value, keys.KeyFamily)]
     assert sorted(map(repr, declared)) == sorted(map(repr, keys.FAMILIES))
-    named = {name for family in keys.FAMILIES for name in family.messages}
+    remote = {name for family in keys.FAMILIES if family.root for name in family.messages}
+    assert remote == {kind.__name__ for kind in environment_messages.MESSAGES}
+    named = {name for family in keys.FAMILIES if not family.root for name in family.messages}
     assert all(issubclass(getattr(messages, name), codec.Message) for name in named)
     kinds = {kind.__name__ for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, Message)}
     assert kinds - named == {"Message", "Envelope"}

@@ -1,0 +1,1 @@
+"""Environments in other processes and on robots: `serve` offers one, and workers step it over Zenoh."""
