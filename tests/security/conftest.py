@@ -18,6 +18,7 @@ MEMBERS = (
     "operator.o",
     "vehicle.uav",
     "vehicle.other",
+    "environment.site",
 )
 
 

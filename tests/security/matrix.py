@@ -34,6 +34,9 @@ WILD = (
     f"{ROOT}/flight/**",
     f"{ROOT}/flight/*/setpoint",
     f"{keys.ROOT}/*/params/actors/**",
+    f"{keys.ENVIRONMENT_ROOT}/**",
+    f"{keys.ENVIRONMENT_ROOT}/live/*",
+    f"{keys.ENVIRONMENT_ROOT}/request/site/*",
 )
 SECONDS = 20.0
 GRACE = 0.6
@@ -51,8 +54,8 @@ def concrete_keys(identity: Identity) -> tuple[str, ...]:
         for name in sorted(names):
             role = identity.role if name == identity.name else "rollout"
             for verb in ("configuration", "drain"):
-                template = family.template
-                found.append(f"{ROOT}/" + template.format(worker=name, vehicle=name, role=role, name=name, verb=verb))
+                own = {"worker": name, "vehicle": name, "environment": name}
+                found.append(family.key(RUN, role=role, name=name, verb=verb, **own))
         if family.delivery == "state":
             found.append(f"{ROOT}/{family.template}/@adv/pub/x/1/_")
     return (*dict.fromkeys(found), f"{ROOT}/live/learner/learner", f"{ROOT}/unknown", "elsewhere/key")

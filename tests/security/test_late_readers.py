@@ -30,6 +30,7 @@ NAMES = (
     "watcher.w",
     "vehicle.uav",
     "flight.main",
+    "environment.site",
 )
 COUNTERPART = {"put": "read", "ask": "answer", "appear": "watch"}
 """What the other side of a right holds."""
@@ -54,7 +55,7 @@ def concrete_keys() -> set[str]:
     found = set()
     for family, verb, name in product(keys.FAMILIES, keys.VERBS, map(Identity.parse, NAMES)):
         variables = {"worker": "a", "vehicle": "uav", "verb": verb, "role": name.role, "name": name.name}
-        found.add(f"{keys.ROOT}/{RUN}/{family.template.format(**variables)}")
+        found.add(family.key(RUN, environment="site", **variables))
     return found
 
 
@@ -184,6 +185,8 @@ def test_what_a_lasting_sender_sends_reaches_everybody_who_may_read_it(keys_fold
         ("put", keys.VIEW.template),
         ("put", keys.OBSERVATION.template),
         ("ask", keys.TRANSITION.template),
+        ("ask", keys.ENVIRONMENT.template),
+        ("appear", keys.ENVIRONMENT_LIVE.template),
         ("appear", keys.LIVE.template),
     }
     with parties(keys_folder, listener) as found:

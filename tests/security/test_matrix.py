@@ -19,6 +19,7 @@ NAMES = (
     "watcher.w",
     "vehicle.uav",
     "flight.main",
+    "environment.site",
 )
 
 
@@ -94,10 +95,11 @@ def test_the_table_says_what_was_asked_for():
         f"{root}/view/a",
         f"{root}/metric/rollout/a",
         f"{root}/live/rollout/a",
+        f"{keys.ENVIRONMENT_ROOT}/request/*/*",
     }
 
 
-ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
+ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle", "environment")
 
 
 def test_a_vehicle_writes_its_own_observations_alone_and_nobody_but_the_flight_node_set_points():
@@ -109,6 +111,17 @@ def test_a_vehicle_writes_its_own_observations_alone_and_nobody_but_the_flight_n
     assert sent == [("put", f"{keys.ROOT}/run/flight/uav-7/observation")]
     assert {role for role in ROLES if any(g.family == keys.SETPOINT for g in held[role])} == {"flight"}
     assert {g.family for g in held["flight"]} == {keys.SETPOINT, keys.METRIC, keys.LIVE}
+
+
+def test_an_environment_answers_and_appears_under_its_own_name_and_workers_and_learner_alone_ask_it():
+    """No environment can pose as another one, and no other role can move a robot."""
+    sends = {"put", "ask", "answer", "appear"}
+    held = {role: [g for g in access.grants_of(role) if g.right in sends] for role in ROLES}
+    sent = {pair for g in held["environment"] for pair in g.expressions("site-a", "run") if pair[0] in sends}
+    root = keys.ENVIRONMENT_ROOT
+    assert sent == {("answer", f"{root}/request/site-a/*"), ("appear", f"{root}/live/site-a")}
+    asking = {role for role in ROLES if any((g.right, g.family) == ("ask", keys.ENVIRONMENT) for g in held[role])}
+    assert asking == {"rollout", "learner"}
 
 
 def own_sends(name: str) -> list[tuple[str, keys.KeyFamily, dict[str, str]]]:

@@ -283,7 +283,7 @@ def test_an_answer_that_cannot_be_used_is_an_outage(answer: bytes) -> None:
     desk = desk_of(Line())
     network = Network(desk)
     lease = claimed(network)
-    network.request = lambda key, payload, timeout: Sent(network, timeout, answer)  # type: ignore[method-assign]  # a liar
+    network.request = lambda key, payload, timeout: Sent(network, timeout, answer)  # type: ignore[method-assign]  # it lies to one lease
     with pytest.raises(EnvironmentOutageError, match="site-a answers what cannot be used"):
         moved(lease, 1)
     assert COUNTS.refused == 1
