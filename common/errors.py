@@ -8,7 +8,8 @@ EiaSecError
 │   ├── RunDirError            a run directory that is missing, in use or of another configuration
 │   ├── PolicyError            a policy name or file that cannot be used
 │   ├── ContractError          an environment that does something else than PettingZoo asks for
-│   └── EnvironmentFaultError  an exception in a user's environment, with its traceback
+│   ├── EnvironmentFaultError  an exception in a user's environment, with its traceback
+│   └── CallbackError          something that is no callback, or an exception in one
 ├── ProtocolError              received data that violates the protocol
 │   ├── FrameError             bytes that are not a frame: truncated, corrupted, oversized
 │   ├── SchemaError            a frame whose fields have the wrong type, shape or range
@@ -63,6 +64,10 @@ class ContractError(UsageError):
 
 class EnvironmentFaultError(UsageError):
     """An exception in a user's environment; the message holds the traceback of the user's own code."""
+
+
+class CallbackError(UsageError):
+    """Something that is no callback, or an exception in a user's callback."""
 
 
 class ProtocolError(EiaSecError):

@@ -1,21 +1,26 @@
-"""The four functions that `eia_sec` itself offers: train, evaluate, load a policy, make an environment.
+"""The functions that `eia_sec` itself offers: train, evaluate, load a policy, make an environment."""
 
-Everything runs in the calling process, on one core and without a network. `eia-sec train` does the same with processes.
-"""
-
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from eia_sec.common import policy_file
-from eia_sec.common.actors import TeamActors
+from eia_sec.common.callbacks import Callback, require_callbacks
 from eia_sec.common.config import RunConfig
+from eia_sec.common.config.checks import within
+from eia_sec.common.config.environment import FARM, EnvConfig
 from eia_sec.common.config.files import with_values
-from eia_sec.common.config.presets import preset
+from eia_sec.common.config.presets import preset as preset_named
+from eia_sec.common.config.presets import preset_for
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_of
-from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.local.run_directory import new_folder
+from eia_sec.deploy.python.environment_name import environment_name
+from eia_sec.deploy.python.run import Run
+from eia_sec.deploy.python.training import train_elsewhere, train_here
 from eia_sec.rollout import evaluation
+from eia_sec.rollout.agent_policy import Policy
 from eia_sec.rollout.envs.parallel_env import FarmParallelEnv, parallel_env
 from eia_sec.rollout.policies import ActorPolicy, run_policy
 from eia_sec.rollout.shipped_policies import policy_path, preset_of
@@ -23,25 +28,71 @@ from eia_sec.rollout.shipped_policies import policy_path, preset_of
 Settings = Mapping[str, Any]
 
 
-def train(config: str | RunConfig = "default", settings: Settings | None = None) -> TeamActors:
-    """Train and return the policy, without its exploration noise.
+def train(
+    environment: str | Callable[..., Any] | RunConfig = FARM,
+    *,
+    algorithm: str = "",
+    preset: str = "",
+    seed: int | None = None,
+    steps: int = 0,
+    episodes: int = 0,
+    workers: int = 0,
+    settings: Settings | None = None,
+    callbacks: Sequence[Callback] = (),
+    run_dir: str | Path | None = None,
+    connect: str | None = None,
+    run: str = "train",
+) -> Run:
+    """Train a policy, and return the run with it.
 
-    The same configuration gives the same weights, bit for bit, and so does `eia-sec train --lockstep`.
+    It works in a script, a notebook and a thread. With `workers=0` everything runs in this process, on one core, and
+    the same configuration gives the same weights, bit for bit, as with `eia-sec train --lockstep`. Otherwise learner,
+    coordinator and workers are processes of their own, as with `eia-sec train`. Ctrl-C then drains the run, which can
+    be resumed, and raises KeyboardInterrupt.
 
     Args:
-        config: name of a preset, or a whole configuration.
-        settings: what differs from it, by dotted names as after `--set`: `{"episodes": 200, "seed": 1}`.
+        environment: `farm`, module:name of a PettingZoo parallel environment, a class or a function that makes one, or
+            a whole configuration.
+        algorithm: name of the algorithm; by default that of the preset.
+        preset: what to begin from; by default `default` for the farm and `generic` for any other environment.
+        seed: of the run.
+        steps: environment steps that end the run; by default as the preset says.
+        episodes: training episodes that end the run; with both, the first that is reached.
+        workers: rollout processes on this machine; 0 trains in this process.
+        settings: what differs besides, by dotted names as after `--set`: `{"algorithm.hidden": 128}`.
+        callbacks: called while it trains, see `eia_sec.Callback`.
+        run_dir: run directory, new or empty, for configuration, metrics and policy, and with workers for checkpoints
+            and logs. By default none in this process, and with workers runs/PRESET-TIME.
+        connect: endpoint of a router, `tcp/host:7447` for one, through which workers of other machines join.
+        run: name of the run, by which they join.
 
     Raises:
-        ConfigError: the configuration is impossible.
+        UsageError: something is impossible; the message is one sentence.
+        EiaSecError: a process has failed for good.
     """
-    return train_in_process(_run(config, settings)).actors().noise_free()
+    require_callbacks(callbacks)
+    within(0, 1024, workers=workers)
+    elsewhere = workers > 0 or connect is not None
+    chosen = _whole(environment, preset, elsewhere=elsewhere)
+    if algorithm:
+        chosen = chosen.with_algorithm(algorithm)
+    budget = {name: value for name, value in (("steps", steps), ("episodes", episodes)) if value}
+    own: dict[str, Any] = budget | ({} if seed is None else {"seed": seed})
+    config = with_values(with_values(chosen, dict(settings or {})), own)
+    folder = None if run_dir is None else Path(run_dir)
+    if not elsewhere:
+        return train_here(config, folder, callbacks)
+    if folder is None:
+        named = preset or (preset_for(config.env.name) if not isinstance(environment, RunConfig) else run)
+        folder = new_folder(Path("runs"), f"{named}-{time.strftime('%Y%m%d-%H%M%S')}")
+    return train_elsewhere(config, folder, callbacks, workers, connect, run)
 
 
 def evaluate(
-    policy: str | Path | TeamActors,
-    config: str | RunConfig | None = None,
+    policy: str | Path | Policy,
+    environment: str | Callable[..., Any] | RunConfig = "",
     *,
+    preset: str = "",
     settings: Settings | None = None,
     farms: Sequence[int] = range(1000, 1020),
     episodes: int = 1,
@@ -49,8 +100,9 @@ def evaluate(
     """Run a policy without noise on farms that training never uses, and return its scores.
 
     Args:
-        policy: what `train` or `load_policy` returned, a policy file, or the name of a policy or heuristic.
-        config: preset or configuration of the environment; by default that of the named policy, otherwise `default`.
+        policy: what `load_policy` returned or `Run.policy` is, a policy file, or the name of a policy or heuristic.
+        environment: as for `train`; by default the farm.
+        preset: likewise; by default that of the named policy.
         settings: what differs from it, as for `train`.
         farms: seeds of the farms, or of the scenarios of another environment.
         episodes: episodes on each.
@@ -59,23 +111,28 @@ def evaluate(
         ConfigError: the configuration is impossible, or there is nothing to evaluate on.
         PolicyError: the policy does not exist, or does not fit the environment.
     """
-    name = "policy" if isinstance(policy, TeamActors) else str(policy)
-    run = _run(config or preset_of(name), settings)
-    chosen = ActorPolicy(policy) if isinstance(policy, TeamActors) else run_policy(name, run)
-    return evaluation.evaluate_run(run, chosen, farms, episodes, name=name)
+    name = "policy" if isinstance(policy, Policy) else str(policy)
+    config = _whole(environment or FARM, preset or ("" if environment else preset_of(name)), elsewhere=False)
+    config = with_values(config, dict(settings or {}))
+    chosen = ActorPolicy(policy.actors) if isinstance(policy, Policy) else run_policy(name, config)
+    return evaluation.evaluate_run(config, chosen, farms, episodes, name=name)
 
 
-def load_policy(policy: str | Path) -> TeamActors:
+def load_policy(policy: str | Path, environment: str | Callable[..., Any] | EnvConfig = FARM) -> Policy:
     """Return a trained policy from its file, or by its name: `trained`, `trained:long`, ...
 
-    `policy.environment_actions(observations[None])` are its actions [1, A] for the observations of all agents [O] in
-    the order of `possible_agents`.
+    Args:
+        policy: the file, or the name.
+        environment: the environment that it acts in, as for `train`, for whoever calls `Policy.act` with what a
+            PettingZoo environment returns. For the farm it is not needed.
 
     Raises:
         PolicyError: there is no such file, or it is damaged.
     """
     actors, _ = policy_file.load_policy(policy_path(str(policy)))
-    return actors
+    if isinstance(environment, EnvConfig):
+        return Policy(actors, environment)
+    return Policy(actors, EnvConfig(name=environment_name(environment, elsewhere=False)))
 
 
 def make_env(
@@ -91,12 +148,16 @@ def make_env(
     Raises:
         ConfigError: the farm is impossible, the environment is another one, or the mode does not exist.
     """
-    run = _run(config, settings)
+    run = with_values(preset_named(config) if isinstance(config, str) else config, dict(settings or {}))
     farm = farm_of(run)
     if farm is None:
         raise ConfigError(f"make_env makes farms, and this configuration is for {run.env.name}.")
     return parallel_env(farm, render_mode=render_mode)
 
 
-def _run(config: str | RunConfig, settings: Settings | None) -> RunConfig:
-    return with_values(preset(config) if isinstance(config, str) else config, dict(settings or {}))
+def _whole(environment: str | Callable[..., Any] | RunConfig, preset: str, *, elsewhere: bool) -> RunConfig:
+    """Return the configuration that a program begins from."""
+    if isinstance(environment, RunConfig):
+        return environment
+    name = environment_name(environment, elsewhere=elsewhere)
+    return preset_named(preset or preset_for(name)).with_environment(name)

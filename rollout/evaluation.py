@@ -1,5 +1,6 @@
 """Noise-free evaluation of a policy on farms or on scenarios of another environment."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.environment import EnvironmentSpec
@@ -62,6 +64,15 @@ class Evaluation:
     total: Score
     per_farm: tuple[Score, ...]
     environment: EnvironmentSpec
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the mean reward per agent and episode, by Student's t over the farms; endless for one."""
+        rewards = np.array([score.reward for score in self.per_farm])
+        if len(rewards) < 2:
+            return -math.inf, math.inf
+        half = float(stdtrit(len(rewards) - 1, 0.975) * rewards.std(ddof=1) / math.sqrt(len(rewards)))
+        return self.total.reward - half, self.total.reward + half
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as `eia-sec evaluate --json` prints it; types by their short names."""

@@ -118,6 +118,7 @@ GRANTS: Final = (
     Grant("operator", "read", keys.METRIC),
     Grant("operator", "watch", keys.LIVE),
     Grant("operator", "ask", keys.COMMAND, {"verb": "drain"}),
+    Grant("operator", "ask", keys.COMMAND, {"verb": "arguments"}),
     Grant("monitor", "read", keys.METRIC),
     Grant("monitor", "watch", keys.LIVE),
     Grant("vehicle", "put", keys.OBSERVATION, {"vehicle": NAME}),

@@ -41,7 +41,7 @@ ROOT: Final = f"eia-sec/v{PROTOCOL}"
 """Every key begins with this and the run's name."""
 ENVIRONMENT_ROOT: Final = "eia-sec/environment/v1"
 """Every key of a served environment begins with this. Its version is its own: a robot's program outlives PROTOCOL."""
-VERBS: Final = ("configuration", "lead", "drain")
+VERBS: Final = ("configuration", "lead", "drain", "arguments")
 """Commands that the learner knows; a command's key ends in its verb."""
 ENVIRONMENT_VERBS: Final = ("claim", "step", "renew", "release")
 """What a worker asks of a served environment; the request's key ends in it."""

@@ -127,6 +127,8 @@ class ProgressMessage(Message):
         state: training, draining or finished.
         window: environment steps that a worker may have under way, NO_LIMIT where nothing limits them. A worker that
             has as many waits, because the learner would get what it flew too late (on policy).
+        arguments: those that environments have from their next episodes on, a JSON object; empty for the configured
+            ones.
     """
 
     KIND = 5
@@ -138,14 +140,22 @@ class ProgressMessage(Message):
     updates: int
     state: str
     window: int = NO_LIMIT
+    arguments: str = ""
 
 
 @dataclass(frozen=True)
 class CommandMessage(Message):
-    """A command for the learner; its key ends in one of `eia_sec.common.protocol.keys.VERBS`."""
+    """A command for the learner; its key ends in one of `eia_sec.common.protocol.keys.VERBS`.
+
+    Attributes:
+        sender: name of the asking process.
+        arguments: with the verb arguments, those that environments have from their next episodes on, a JSON object;
+            else left out.
+    """
 
     KIND = 6
     sender: str
+    arguments: str | None = None
 
 
 @dataclass(frozen=True)

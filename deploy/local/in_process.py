@@ -22,24 +22,27 @@ WORKER = "0"
 """Name of the worker; the first worker of `eia-sec train` has the same name."""
 
 
-def train_in_process(
-    config: RunConfig, watch: Callable[[Trainer, Chunk], None] = lambda trainer, chunk: None
-) -> Trainer:
+Watch = Callable[[Trainer, Chunk], object]
+"""Called with the trainer and the chunk after each chunk's updates; True ends the run."""
+
+
+def train_in_process(config: RunConfig, watch: Watch = lambda trainer, chunk: None) -> Trainer:
     """Train to the end of the run, on one core.
 
     Args:
         config: the run.
-        watch: called with the trainer and the chunk after each chunk's updates.
+        watch: see `Watch`.
 
     Returns:
         The trainer with its final actors.
     """
-    config = with_values(config, {"learner.update_threads": 1})
     with closing(Collector(config, WORKER, 0)) as collector:
-        return _train(config, collector, watch)
+        return train_with(collector, config, watch)
 
 
-def _train(config: RunConfig, collector: Collector, watch: Callable[[Trainer, Chunk], None]) -> Trainer:
+def train_with(collector: Collector, config: RunConfig, watch: Watch) -> Trainer:
+    """Train to the end of the run with a new collector of it; otherwise as `train_in_process`."""
+    config = with_values(config, {"learner.update_threads": 1})
     trainer = make_trainer(config, collector.team)
     if start := start_parameters(config, trainer.team):
         trainer.begin_with(start)
@@ -62,5 +65,6 @@ def _train(config: RunConfig, collector: Collector, watch: Callable[[Trainer, Ch
             version, published = trainer.next_version(), trainer.changes
         actors, seen_steps = trainer.actors(), trainer.environment_steps
         progress = trainer.progress
-        watch(trainer, chunk)
+        if watch(trainer, chunk) is True:
+            break
     return trainer

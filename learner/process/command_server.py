@@ -1,5 +1,6 @@
-"""Answers the commands of other processes: configuration, lead, drain."""
+"""Answers the commands of other processes: configuration, lead, drain, arguments."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +12,8 @@ from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessag
 from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.process.lease import Lease
 
+MOST_ARGUMENTS = 8 * 1024
+"""Most characters of an environment's arguments."""
 SHOWN_NAME = 64
 """Most characters of another process's name in a log line or an answer."""
 
@@ -26,6 +29,7 @@ class CommandServer:
     Attributes:
         lease: which coordinator leads.
         draining: whether a command asked the learner to drain.
+        arguments: the environment's arguments as a command has set them, JSON, or empty.
         malformed: requests that could not be decoded.
     """
 
@@ -33,38 +37,49 @@ class CommandServer:
         self, server: Server, configuration: ConfigurationMessage, newest_incarnation: Callable[[str], int]
     ) -> None:
         self._server, self._configuration, self._newest_incarnation = server, configuration, newest_incarnation
-        self.lease, self.draining, self.malformed = Lease(), False, 0
-        self._verbs: dict[str, Callable[[Incoming, str], None]] = {
+        self.lease, self.draining, self.arguments, self.malformed = Lease(), False, "", 0
+        self._verbs: dict[str, Callable[[Incoming, CommandMessage], None]] = {
             "configuration": self._send_configuration,
             "lead": self._grant_lead,
             "drain": self._drain,
+            "arguments": self._set_arguments,
         }
 
     def answer(self) -> None:
         """Answer every waiting command."""
         for incoming in self._server.waiting():
             try:
-                sender = CommandMessage.decode(incoming.payload).sender
+                command = CommandMessage.decode(incoming.payload)
                 verb = keys.parse(incoming.key).variables.get("verb", "")
             except ProtocolError as error:
                 self.malformed += 1
                 incoming.refuse(str(error))
                 continue
             if verb in self._verbs:
-                self._verbs[verb](incoming, sender)
+                self._verbs[verb](incoming, command)
             else:
                 self.malformed += 1
                 incoming.refuse(f"the learner has no command {verb!r}.")
 
-    def _send_configuration(self, incoming: Incoming, sender: str) -> None:
-        incoming.reply(replace(self._configuration, newest_incarnation=self._newest_incarnation(sender)).encode())
+    def _send_configuration(self, incoming: Incoming, command: CommandMessage) -> None:
+        newest = self._newest_incarnation(command.sender)
+        incoming.reply(replace(self._configuration, newest_incarnation=newest).encode())
 
-    def _drain(self, incoming: Incoming, sender: str) -> None:
-        log(f"draining at the request of {sender[:SHOWN_NAME]}.")
+    def _set_arguments(self, incoming: Incoming, command: CommandMessage) -> None:
+        if (reason := _unusable(command.arguments)) is not None:
+            self.malformed += 1
+            incoming.refuse(reason)
+            return
+        self.arguments = command.arguments or ""
+        log(f"environments get other arguments at the request of {command.sender[:SHOWN_NAME]}.")
+        incoming.reply(ReceiptMessage(True, "").encode())
+
+    def _drain(self, incoming: Incoming, command: CommandMessage) -> None:
+        log(f"draining at the request of {command.sender[:SHOWN_NAME]}.")
         self.draining = True
         incoming.reply(ReceiptMessage(True, "").encode())
 
-    def _grant_lead(self, incoming: Incoming, sender: str) -> None:
+    def _grant_lead(self, incoming: Incoming, command: CommandMessage) -> None:
         try:
             claimant = Envelope.decode(incoming.attachment)
         except ProtocolError as error:
@@ -74,3 +89,13 @@ class CommandServer:
         granted = self.lease.claim(claimant.name, claimant.incarnation, monotonic())
         holder = self.lease.holder[0] if self.lease.holder else ""
         incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:SHOWN_NAME]} leads.").encode())
+
+
+def _unusable(arguments: str | None) -> str | None:
+    """Return why a text is no environment's arguments, or None."""
+    if arguments is None or len(arguments) > MOST_ARGUMENTS:
+        return f"an environment's arguments are a JSON object of at most {MOST_ARGUMENTS} characters."
+    try:
+        return None if isinstance(json.loads(arguments), dict) else "an environment's arguments are a JSON object."
+    except (ValueError, RecursionError):
+        return "an environment's arguments are no JSON."

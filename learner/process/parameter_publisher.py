@@ -46,13 +46,14 @@ class ParameterPublisher:
         )
         self._parameters.put(message.encode())
 
-    def publish_progress(self, state: str, window: int) -> None:
+    def publish_progress(self, state: str, window: int, arguments: str) -> None:
         """Publish the trainer's counters and what the learner does.
 
         Args:
             state: training, draining or finished.
             window: environment steps that a worker may have under way, or NO_LIMIT.
+            arguments: those that environments have from their next episodes on, or empty.
         """
         t = self._trainer
         counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
-        self._progress.put(ProgressMessage(self._epoch, *counters, state, window).encode())
+        self._progress.put(ProgressMessage(self._epoch, *counters, state, window, arguments).encode())

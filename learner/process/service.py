@@ -84,6 +84,7 @@ class Learner:
         self._open_bulk(config, environment, bulk, ledger)
         self._reporter.add(self._feed.metrics, self._feed.alarms)
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
+        self._reporter.add(lambda: {"arguments": self._commands.arguments})
         self._reporter.add(self._imitations.metrics, self._imitations.alarms)
         self._reporter.add(lambda: {"waits": self._times.seconds()})
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
@@ -259,7 +260,7 @@ class Learner:
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(monotonic())
         self._window = self.receiver.room.window
-        self._publisher.publish_progress(self._state, self._window)
+        self._publisher.publish_progress(self._state, self._window, self._commands.arguments)
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(monotonic())

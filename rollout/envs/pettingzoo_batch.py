@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.config.environment import MOST_EPISODE_STEPS
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import EnvironmentOutageError, SimulationError
+from eia_sec.common.errors import ConfigError, EnvironmentOutageError, SimulationError
 from eia_sec.common.seeds import derive
-from eia_sec.common.team import Float32
+from eia_sec.common.team import Float32, described
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.envs.base import Patience
+from eia_sec.rollout.envs.guard import Guard
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
 
@@ -68,14 +70,16 @@ class PettingZooBatch:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
         self._limit = config.steps or MOST_EPISODE_STEPS
+        self._config = config
+        self._made = [config.arguments] * environments
         self._patience, self._away = patience, [False] * environments
-        attempt = partial(make_parallel, config, boxes=boxes, make=make)
+        self._attempt = partial(make_parallel, boxes=boxes, make=make)
+        self._environments: list[Guard] = []
         with ExitStack() as made:
-            self._environments = [
-                made.enter_context(closing(self._until_back(k, attempt))) for k in range(environments)
-            ]
+            made.callback(self.close)
+            self._environments += (self._made_anew(k) for k in range(environments))
             agents = describe(self._environments[0], config.types)
-            self._open = made.pop_all()
+            made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
         self._views, self._actions = agents.views, RowActions(agents.actions)
@@ -92,6 +96,7 @@ class PettingZooBatch:
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds."""
+        self._renew(index)
         seed = derive(scenario_seed, episode_seed, "reset") % 2**31
         observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
         self._observe(index, "reset()", observations, infos)
@@ -130,9 +135,37 @@ class PettingZooBatch:
             raise SimulationError(f"environment {index} has not been reset yet.")
         return EpisodeSummary(*self._seeds[index], int(self.time[index]), tuple(self._returns[index].tolist()), {})
 
+    def change_arguments(self, arguments: str) -> None:
+        """Make each environment with other arguments, a JSON object, when its next episode begins.
+
+        Raises:
+            ConfigError: they are no JSON object.
+        """
+        self._config = replace(self._config, arguments=arguments)
+
     def close(self) -> None:
         """Close all environments."""
-        self._open.close()
+        for environment in self._environments:
+            environment.close()
+
+    def _made_anew(self, index: int) -> Guard:
+        return self._until_back(index, partial(self._attempt, self._config))
+
+    def _renew(self, index: int) -> None:
+        """Make an environment anew if its arguments have changed; raise ConfigError if its agents become others."""
+        config = self._config
+        if self._made[index] == config.arguments:
+            return
+        self._environments[index].close()
+        self._environments[index] = self._made_anew(index)
+        self._made[index] = config.arguments
+        found = describe(self._environments[index], config.types)
+        if (found.team, tuple(found.views)) != (self.team, self.names):
+            raise ConfigError(
+                f"with the arguments {config.arguments} {config.name} has {described(found.team)}, and the run trains "
+                f"{described(self.team)}; arguments that change while a run trains must keep the team."
+            )
+        self._views, self._actions = found.views, RowActions(found.actions)
 
     def _step(self, index: int, actions: dict[Any, Any]) -> None:
         environment, present = self._environments[index], set(actions)

@@ -82,6 +82,19 @@ def make_environments(
     return FACTORIES[config.env.name](config, count, hindsight)
 
 
+def change_arguments(environments: Environments, arguments: str) -> None:
+    """Make each environment with other arguments, a JSON object, when its next episode begins.
+
+    Raises:
+        ConfigError: the environments take no arguments, or they are no JSON object.
+    """
+    from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
+
+    if not isinstance(environments, PettingZooBatch):
+        raise ConfigError("only environments named as module:name take arguments that change while a run trains.")
+    environments.change_arguments(arguments)
+
+
 def environment_spec(config: RunConfig, *, trial: bool = False, reach: Reach | None = None) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 

@@ -16,7 +16,7 @@ from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.rollout.envs.base import Patience, Reach
-from eia_sec.rollout.envs.registry import make_environments
+from eia_sec.rollout.envs.registry import change_arguments, make_environments
 from eia_sec.rollout.worker.action_sampler import ActionSampler
 from eia_sec.rollout.worker.hindsight_credit import credit_newest, shares_of
 from eia_sec.rollout.worker.random_rows import RandomRows
@@ -94,6 +94,14 @@ class Collector:
     def close(self) -> None:
         """Close the environments."""
         self.environments.close()
+
+    def change_arguments(self, arguments: str) -> None:
+        """Make each environment with other arguments, a JSON object, when its next episode begins.
+
+        Raises:
+            ConfigError: the run's environment takes no arguments, or they are no JSON object.
+        """
+        change_arguments(self.environments, arguments)
 
     def collect(
         self, actors: TeamActors, noise_std: float, uniform: bool, goes_on: Callable[[], bool] = lambda: True

@@ -139,6 +139,7 @@ class Worker:
         self._options, self._config, self._control, self._stop = options, config, control, stop
         self._clock_alarm = _clock_alarm(answer.newest_incarnation)
         self._collector, self._outages, self._presence = collector, outages, presence
+        self._arguments = ""
         # A run in lockstep repeats whole chunks, and networks with memory learn from whole sequences of equal length.
         self._cuts_chunks = not answer.lockstep and not config.memory_size
         team = collector.team
@@ -216,6 +217,7 @@ class Worker:
 
     def _collect(self, actors: TeamActors) -> None:
         started, version = monotonic(), self._learner.store.version
+        self._renew_arguments()
         try:
             chunk = self._collector.collect(actors, *self._exploration(), goes_on=self._goes_on)
         except CancelledError as error:
@@ -227,6 +229,13 @@ class Worker:
             else:
                 log(f"worker {self._options.name}: {chunk.rows.steps} steps of an unfinished chunk were left behind.")
         self._times.collecting += monotonic() - started
+
+    def _renew_arguments(self) -> None:
+        """Hand arguments that the learner has published to the environments; they hold from the next episodes on."""
+        if (wanted := self._learner.arguments) and wanted != self._arguments:
+            self._arguments = wanted
+            self._collector.change_arguments(wanted)
+            log(f"worker {self._options.name}: episodes begin with the arguments {wanted[:200]} from now on.")
 
     def _is_deliverable(self, chunk: Chunk) -> bool:
         """Return whether a chunk is whole, or may be shorter."""

@@ -1,32 +1,53 @@
 """EIA-SEC: distributed multi-agent reinforcement learning over Eclipse Zenoh.
 
     import eia_sec
-    policy = eia_sec.train("quick", {"episodes": 200})
-    print(eia_sec.evaluate(policy).total.reward)
+    run = eia_sec.train("mytask.env:Cover", algorithm="ippo", workers=4, steps=150_000)
+    print(run.evaluate(scenarios=50).interval)
 
-These names are the public face of the package. The functions are loaded when they are first used, so `import eia_sec`
-loads neither torch nor the simulator.
+These names are the public face of the package. They are loaded when they are first used, so `import eia_sec` loads
+neither torch nor the simulator.
 """
 
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from eia_sec.common.callbacks import Callback, TrainingProgress
 from eia_sec.common.errors import EnvironmentOutageError
 
 if TYPE_CHECKING:
     from eia_sec.deploy.api import evaluate, load_policy, make_env, train
+    from eia_sec.deploy.python.run import Run
+    from eia_sec.rollout.agent_policy import Policy
 
-__all__ = ["EnvironmentOutageError", "__version__", "evaluate", "load_policy", "make_env", "train"]
+__all__ = [
+    "Callback",
+    "EnvironmentOutageError",
+    "Policy",
+    "Run",
+    "TrainingProgress",
+    "__version__",
+    "evaluate",
+    "load_policy",
+    "make_env",
+    "train",
+]
+
+_LAZY: Final = {
+    "Policy": "eia_sec.rollout.agent_policy",
+    "Run": "eia_sec.deploy.python.run",
+    **dict.fromkeys(("evaluate", "load_policy", "make_env", "train"), "eia_sec.deploy.api"),
+}
+"""Where the names are that are loaded when they are first used."""
 
 __version__ = version("eia-sec")
 
 
 def __getattr__(name: str) -> object:
-    """Return one of the public functions."""
-    if name not in __all__:
+    """Return one of the public names."""
+    if name not in _LAZY:
         raise AttributeError(f"module 'eia_sec' has no attribute {name!r}")
-    return getattr(import_module("eia_sec.deploy.api"), name)
+    return getattr(import_module(_LAZY[name]), name)
 
 
 def __dir__() -> list[str]:

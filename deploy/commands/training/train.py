@@ -15,18 +15,15 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.config.presets import preset_for
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import BusError, CancelledError, ConfigError, EiaSecError, EndpointError, UsageError
+from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.process import StopSignal
-from eia_sec.common.protocol import keys
-from eia_sec.common.protocol.messages import CommandMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
-from eia_sec.deploy.exit_codes import USAGE
-from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory, new_folder
+from eia_sec.deploy.local.run_directory import RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
-from eia_sec.deploy.local.supervisor import Supervisor
 from eia_sec.deploy.local.threads import allowed_cores
+from eia_sec.deploy.local.training_processes import COORDINATOR, LEARNER, ProcessPlan, TrainingProcesses
 from eia_sec.deploy.monitor.live_view import render, summary
 from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
@@ -38,12 +35,9 @@ from eia_sec.rollout.start_policy import StartParameters, start_parameters, star
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
 """Seconds between two lines of output without a terminal."""
-DRAIN_SECONDS = 8.0
-JOIN_SECONDS = 300.0
-"""Seconds that workers and coordinator wait for the learner to listen."""
 RUN = "train"
-LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operator.train"
-"""Certificates that `--tls` needs besides rollout.0, rollout.1, ..."""
+OPERATOR = "operator.train"
+"""Certificate of this process that `--tls` needs besides those of the others."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,18 @@ def command(arguments: Sequence[str]) -> int:
     console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
-    _Training(options, workers, directory, endpoint, console).run()
+    plan = ProcessPlan(
+        options.settings,
+        workers,
+        directory,
+        endpoint,
+        RUN,
+        lockstep=options.lockstep,
+        resume=options.resume,
+        shared_memory=options.shared_memory,
+        tls=options.tls,
+    )
+    _Training(plan, console).run()
     finished = directory.finished()
     if finished and options.settings.env.served:
         # A robot moves only as long as it was asked to.
@@ -206,88 +211,34 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
 
 
 class _Training:
-    def __init__(
-        self, options: TrainArguments, workers: int, directory: RunDirectory, endpoint: Endpoint, console: Console
-    ) -> None:
-        self._options, self._workers, self._directory = options, workers, directory
-        self._endpoint, self._console = endpoint, console
+    def __init__(self, plan: ProcessPlan, console: Console) -> None:
+        self._console = console
         self._stop = StopSignal()
-        self._supervisor = Supervisor(directory.path / "logs")
+        self._processes = TrainingProcesses(plan)
         self._printed = 0.0
 
     def run(self) -> None:
         """Train until the learner is done or the user stops it; no process is left afterwards."""
         self._stop.install()
+        processes = self._processes
         try:
-            self._start()
-            bus = self._connect()
+            processes.start()
+            bus = processes.connect(lambda: bool(self._stop))
             if bus is not None:
                 with bus:
-                    monitor = RunMonitor(bus, RUN)
-                    self._watch(monitor)
+                    self._watch(RunMonitor(bus, RUN))
                     if self._stop:
                         self._drain(bus)
         finally:
-            self._supervisor.stop()
+            processes.stop()
             self._stop.uninstall()
-        self._raise_failure()
-
-    def _raise_failure(self) -> None:
-        """Raise the learner's error if it ended for good before the run was over."""
-        learner = self._supervisor.children["learner"]
-        if not learner.given_up:
-            return
-        last = self._supervisor.tail("learner")
-        if learner.code == USAGE:
-            reason = (last.splitlines() or ["the learner was refused, and there was no room to say why."])[-1]
-            raise UsageError(reason.removeprefix("eia-sec: "))
-        raise EiaSecError(f"the learner failed; its last lines were:\n{last}")
-
-    def _start(self) -> None:
-        options, where = self._options, str(self._endpoint)
-        learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
-        shared = ["--shared-memory"] if options.shared_memory else []
-        learner += [*shared, *self._tls(LEARNER)]
-        learner += ["--config", str(self._directory.path / CONFIG), "--await-elite"]
-        learner += ["--lockstep"] if options.lockstep else []
-        learner += ["--resume"] if options.resume else []
-        again = [] if options.resume or options.lockstep else ["--resume"]
-        self._supervisor.start("learner", learner, options.settings.learner.threads, again)
-        joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
-        self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
-        allowed = ["--env", options.settings.env.name] if options.settings.env.is_third_party else []
-        for index in range(self._workers):
-            rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
-            rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]
-            self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
-
-    def _tls(self, process: str) -> list[str]:
-        folder = self._options.tls
-        return [] if folder is None else ["--tls", str(folder / process)]
-
-    def _connect(self) -> Bus | None:
-        """Return a session with the learner, or None if it ends or the user stops first."""
-        learner = self._supervisor.children["learner"]
-        deadline = time.monotonic() + 60.0
-        while True:
-            # One more try after a stop: a learner that has just begun to listen can still be asked to drain.
-            stopping = bool(self._stop)
-            waiting = (lambda: True) if stopping else (lambda: not self._stop)
-            try:
-                return Bus.connect(self._endpoint, "control", wait=0.5, waiting=waiting)
-            except (EndpointError, CancelledError):
-                self._supervisor.watch()
-                if learner.done or stopping:
-                    return None
-                if learner.given_up or time.monotonic() > deadline:
-                    self._raise_failure()
-                    raise EndpointError("the learner did not start in time.") from None
+        processes.raise_failure()
 
     def _watch(self, monitor: RunMonitor) -> None:
-        learner = self._supervisor.children["learner"]
+        processes = self._processes
         if not self._console.is_terminal:
             alarms = NewAlarms()
-            while not (self._stop or learner.done or learner.given_up):
+            while not (self._stop or processes.over):
                 self._tick(monitor)
                 snapshot = monitor.snapshot()
                 lines = alarms.of(snapshot)
@@ -298,33 +249,17 @@ class _Training:
                     self._console.print(line, highlight=False, markup=False, soft_wrap=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
-            while not (self._stop or learner.done or learner.given_up):
+            while not (self._stop or processes.over):
                 self._tick(monitor)
-                snapshot = monitor.snapshot(tuple(self._supervisor.alarms))
+                snapshot = monitor.snapshot(tuple(processes.supervisor.alarms))
                 live.update(render(snapshot, self._console.height - 1), refresh=True)
 
     def _tick(self, monitor: RunMonitor) -> None:
-        self._supervisor.watch()
-        children = self._supervisor.children
-        workers = [child for name, child in children.items() if name.startswith("rollout-")]
-        if all(child.given_up for child in workers):
-            last = self._supervisor.tail("rollout-0")
-            if workers[0].code == USAGE and last:
-                raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
-            raise EiaSecError(f"all workers failed; the last lines of one were:\n{last}")
-        if self._options.lockstep and children["elite"].given_up:
-            raise EiaSecError(f"the coordinator failed; its last lines were:\n{self._supervisor.tail('elite')}")
+        self._processes.watch()
         monitor.update()
         self._stop.event.wait(REFRESH_SECONDS)
 
     def _drain(self, bus: Bus) -> None:
         self._console.print("draining; the learner is writing a checkpoint ...", highlight=False)
-        learner = self._supervisor.children["learner"]
-        try:
-            bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage("train").encode(), timeout=3.0)
-        except BusError as error:
-            self._console.print(f"the learner refused to drain: {error}", highlight=False)
-        deadline = time.monotonic() + DRAIN_SECONDS
-        while not learner.done and time.monotonic() < deadline:
-            self._supervisor.watch()
-            time.sleep(0.05)
+        if refused := self._processes.drain(bus):
+            self._console.print(f"the learner refused to drain: {refused}", highlight=False)

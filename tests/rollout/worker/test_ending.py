@@ -95,7 +95,7 @@ def a_collecting_worker(monkeypatch, cuts):
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
     worker._cuts_chunks = cuts
-    worker._learner.store = SimpleNamespace(version=1)
+    worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
 

@@ -1,0 +1,172 @@
+"""The processes of one run on this machine: learner, coordinator and workers, and the session that watches them."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import BusError, CancelledError, EiaSecError, EndpointError, UsageError
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import CommandMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
+from eia_sec.deploy.local.supervisor import Child, Supervisor
+
+DRAIN_SECONDS: Final = 8.0
+JOIN_SECONDS: Final = 300.0
+"""Seconds that workers and coordinator wait for the learner to listen."""
+LISTEN_SECONDS: Final = 60.0
+"""Seconds that the learner may take until it listens."""
+LEARNER, COORDINATOR = "learner.learner", "elite.coordinator"
+"""Certificates that they need besides rollout.0, rollout.1, ..."""
+
+
+@dataclass(frozen=True)
+class ProcessPlan:
+    """What to start.
+
+    Attributes:
+        config: the run.
+        workers: number of rollout workers.
+        directory: the run directory, which holds the configuration.
+        endpoint: where the learner listens, or where the router listens that all connect to.
+        run: the run's name.
+        router: whether a router listens there.
+        lockstep, resume, shared_memory: as `eia-sec train` has them.
+        tls: folder with a certificate for each process, or None.
+    """
+
+    config: RunConfig
+    workers: int
+    directory: RunDirectory
+    endpoint: Endpoint
+    run: str = "train"
+    router: bool = False
+    lockstep: bool = False
+    resume: bool = False
+    shared_memory: bool = False
+    tls: Path | None = None
+
+
+class TrainingProcesses:
+    """The processes of one run.
+
+    Args:
+        plan: what to start.
+
+    Attributes:
+        supervisor: starts, watches and restarts them.
+        learner: the learner's process, once `start` was called.
+    """
+
+    def __init__(self, plan: ProcessPlan) -> None:
+        self._plan = plan
+        self.supervisor = Supervisor(plan.directory.path / "logs")
+
+    @property
+    def learner(self) -> Child:
+        """The learner."""
+        return self.supervisor.children["learner"]
+
+    def start(self) -> None:
+        """Start all processes."""
+        plan, where, folder = self._plan, str(self._plan.endpoint), self._plan.directory.path
+        met = ["--connect", where, "--patience", str(JOIN_SECONDS)] if plan.router else ["--listen", where]
+        learner = ["learner", "--run", plan.run, *met, "--run-dir", str(folder)]
+        shared = ["--shared-memory"] if plan.shared_memory else []
+        learner += [*shared, *self._tls(LEARNER)]
+        learner += ["--config", str(folder / CONFIG), "--await-elite"]
+        learner += ["--lockstep"] if plan.lockstep else []
+        learner += ["--resume"] if plan.resume else []
+        again = [] if plan.resume or plan.lockstep else ["--resume"]
+        self.supervisor.start("learner", learner, plan.config.learner.threads, again)
+        joining = ["--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]
+        self.supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
+        allowed = ["--env", plan.config.env.name] if plan.config.env.is_third_party else []
+        for index in range(plan.workers):
+            rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
+            rollout += ["--history", str(folder / HISTORY / f"rollout-{index}.jsonl")]
+            self.supervisor.start(f"rollout-{index}", rollout, plan.config.rollout.threads)
+
+    def _tls(self, process: str) -> list[str]:
+        folder = self._plan.tls
+        return [] if folder is None else ["--tls", str(folder / process)]
+
+    def connect(self, stopped: Callable[[], bool]) -> Bus | None:
+        """Return a session with the learner, or None if it ends or the user stops first.
+
+        Args:
+            stopped: whether the user has stopped the run.
+        """
+        deadline = time.monotonic() + LISTEN_SECONDS
+        while True:
+            # One more try after a stop: a learner that has just begun to listen can still be asked to drain.
+            stopping = stopped()
+            waiting = (lambda: True) if stopping else (lambda: not stopped())
+            try:
+                return Bus.connect(self._plan.endpoint, "control", wait=0.5, waiting=waiting)
+            except (EndpointError, CancelledError):
+                self.supervisor.watch()
+                if self.learner.done or stopping:
+                    return None
+                if self.learner.given_up or time.monotonic() > deadline:
+                    self.raise_failure()
+                    raise EndpointError("the learner did not start in time.") from None
+
+    @property
+    def over(self) -> bool:
+        """Whether the learner has ended."""
+        return self.learner.done or self.learner.given_up
+
+    def watch(self) -> None:
+        """Restart processes that died.
+
+        Raises:
+            UsageError, EiaSecError: all workers have failed, or in lockstep the coordinator.
+        """
+        self.supervisor.watch()
+        children = self.supervisor.children
+        workers = [child for name, child in children.items() if name.startswith("rollout-")]
+        if workers and all(child.given_up for child in workers):
+            last = self.supervisor.tail("rollout-0")
+            if workers[0].code == USAGE and last:
+                raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
+            raise EiaSecError(f"all workers failed; the last lines of one were:\n{last}")
+        if self._plan.lockstep and children["elite"].given_up:
+            raise EiaSecError(f"the coordinator failed; its last lines were:\n{self.supervisor.tail('elite')}")
+
+    def set_arguments(self, bus: Bus, arguments: str) -> None:
+        """Give the run's environments other arguments, a JSON object; raise BusError when the learner refuses them."""
+        key = keys.COMMAND.key(self._plan.run, verb="arguments")
+        bus.ask(key, CommandMessage("train", arguments).encode(), timeout=3.0)
+
+    def drain(self, bus: Bus) -> str:
+        """Let the learner write a checkpoint and end; return why it refused, or an empty string."""
+        refused = ""
+        try:
+            bus.ask(keys.COMMAND.key(self._plan.run, verb="drain"), CommandMessage("train").encode(), timeout=3.0)
+        except BusError as error:
+            refused = str(error)
+        deadline = time.monotonic() + DRAIN_SECONDS
+        while not self.learner.done and time.monotonic() < deadline:
+            self.supervisor.watch()
+            time.sleep(0.05)
+        return refused
+
+    def raise_failure(self) -> None:
+        """Raise the learner's error if it ended for good before the run was over."""
+        if not self.learner.given_up:
+            return
+        last = self.supervisor.tail("learner")
+        if self.learner.code == USAGE:
+            reason = (last.splitlines() or ["the learner was refused, and there was no room to say why."])[-1]
+            raise UsageError(reason.removeprefix("eia-sec: "))
+        raise EiaSecError(f"the learner failed; its last lines were:\n{last}")
+
+    def stop(self) -> None:
+        """End all processes."""
+        self.supervisor.stop()

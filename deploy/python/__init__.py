@@ -1,0 +1,1 @@
+"""Training from a Python program, on which `eia_sec.train` stands."""

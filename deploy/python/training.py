@@ -1,0 +1,273 @@
+"""Trains a run for a program, in its own process or by others, and calls its callbacks meanwhile."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from eia_sec.common.callbacks import SHOWN, Callback, TrainingProgress, call
+from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import BusError, ConfigError, RunDirError
+from eia_sec.common.policy_file import load_policy
+from eia_sec.common.process import StopSignal
+from eia_sec.common.transitions import Chunk
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.local.in_process import WORKER, train_with
+from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.training_processes import ProcessPlan, TrainingProcesses
+from eia_sec.deploy.monitor.run_monitor import RunMonitor
+from eia_sec.deploy.python.run import Run
+from eia_sec.learner.checkpoint.storage import RunStorage
+from eia_sec.learner.process.curves import Curves
+from eia_sec.learner.process.metrics_log import MetricsLog
+from eia_sec.learner.process.tensorboard import flattened
+from eia_sec.learner.trainer import Trainer
+from eia_sec.rollout.envs.registry import environment_spec, patient_with
+from eia_sec.rollout.start_policy import start_parameters
+from eia_sec.rollout.worker.collector import Collector
+
+REFRESH_SECONDS: Final = 0.2
+"""Time between two looks at the processes."""
+CALL_SECONDS: Final = 1.0
+"""Time between two calls of callbacks, where other processes train."""
+
+
+class _Progress(TrainingProgress):
+    """What both ways of training share.
+
+    Args:
+        config: the run.
+
+    Attributes:
+        stopped: whether a callback has stopped it.
+        reason: why.
+        arguments: the environment's present arguments.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self.stopped, self.reason = False, ""
+        self.arguments: dict[str, Any] = config.env.keywords()
+
+    def stop(self, reason: str = "") -> None:
+        self.stopped, self.reason = True, reason[:SHOWN] or "a callback stopped it"
+
+    def set_arguments(self, **arguments: Any) -> None:
+        if not self._config.env.is_third_party:
+            raise ConfigError(f"{self._config.env.name} takes no arguments that change while a run trains.")
+        wanted = {**self.arguments, **arguments}
+        try:
+            text = json.dumps(wanted)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"the environment's arguments are no JSON: {error}.") from None
+        if wanted != self.arguments:
+            self._change(text)
+            self.arguments = wanted
+
+    def _change(self, arguments: str) -> None:
+        raise NotImplementedError
+
+
+class _InProcess(_Progress):
+    """Training in this process."""
+
+    def __init__(self, config: RunConfig, collector: Collector) -> None:
+        super().__init__(config)
+        self._collector = collector
+        self.curves = Curves(collector.team)
+        self.trainer: Trainer | None = None
+
+    @property
+    def _present(self) -> Trainer:
+        assert self.trainer is not None  # the first call comes with it
+        return self.trainer
+
+    @property
+    def environment_steps(self) -> int:
+        return self._present.environment_steps
+
+    @property
+    def episodes(self) -> int:
+        return self._present.episodes
+
+    @property
+    def updates(self) -> int:
+        return self._present.updates
+
+    @property
+    def progress(self) -> float:
+        return self._present.progress
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        return flattened({"curves": self.curves.smoothed(), "statistics": self._present.statistics()})
+
+    def _change(self, arguments: str) -> None:
+        self._collector.change_arguments(arguments)
+
+
+class _Elsewhere(_Progress):
+    """Training by other processes, as their learner's metrics tell."""
+
+    def __init__(self, config: RunConfig, monitor: RunMonitor, ask: Callable[[str], None]) -> None:
+        super().__init__(config)
+        self.monitor, self._ask, self._wanted = monitor, ask, ""
+
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """The learner's newest metrics."""
+        return self.monitor.learner_values()
+
+    def repeat(self) -> None:
+        """Set arguments again where a learner does not have them, because it was restarted."""
+        if self._wanted and self.values.get("arguments", "") != self._wanted:
+            self._change(self._wanted)
+
+    @property
+    def environment_steps(self) -> int:
+        return int(self.values.get("environment_steps", 0))
+
+    @property
+    def episodes(self) -> int:
+        return int(self.values.get("episodes", 0))
+
+    @property
+    def updates(self) -> int:
+        return int(self.values.get("updates", 0))
+
+    @property
+    def progress(self) -> float:
+        return float(self.values.get("progress", 0.0))
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        return flattened({name: self.values.get(name, {}) for name in ("curves", "statistics")})
+
+    def _change(self, arguments: str) -> None:
+        self._wanted = arguments
+        with suppress(BusError):  # `repeat` tries again
+            self._ask(arguments)
+
+
+def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callback]) -> Run:
+    """Train in this process, on one core.
+
+    Args:
+        config: the run.
+        folder: a new or empty run directory for configuration, metrics and policy, or None.
+        callbacks: called after every chunk and its updates.
+
+    Raises:
+        UsageError: the run is impossible, a folder or a callback cannot be used.
+    """
+    spec = environment_spec(config, trial=True)
+    config.algorithm.require_types([group.name for group in spec.team.groups])
+    start_parameters(config, spec.team)
+    directory = None if folder is None else _directory(config, folder)
+    if directory is not None:
+        directory.lock("train.lock")
+        directory.adopt(config, spec.team)
+    with patient_with(config), closing(Collector(config, WORKER, 0)) as collector:
+        progress, log = _InProcess(config, collector), MetricsLog(folder)
+
+        def watch(trainer: Trainer, chunk: Chunk) -> bool:
+            progress.trainer = trainer
+            counters = {"episodes": trainer.episodes, "environment_steps": trainer.environment_steps}
+            if chunk.episodes:
+                means = progress.curves.add(chunk.episodes)
+                log.write("episodes", **counters, updates=trainer.updates, **means)
+            call(callbacks, "on_progress", progress)
+            return progress.stopped
+
+        trainer = train_with(collector, config, watch)
+        call(callbacks, "on_end", progress)
+    state = "draining" if progress.stopped else "finished"
+    log.write("end", state=state, episodes=trainer.episodes, digest=trainer.actors().digest())
+    log.close()
+    if directory is not None:
+        if failure := RunStorage(folder, config).write_policy(trainer):
+            raise RunDirError(failure)
+        directory.unlock()
+    counts = trainer.environment_steps, trainer.episodes
+    return Run(config, trainer.actors(), *counts, progress.reason, folder)
+
+
+def train_elsewhere(
+    config: RunConfig, folder: Path, callbacks: Sequence[Callback], workers: int, connect: str | None, run: str
+) -> Run:
+    """Train by a learner, a coordinator and workers as processes of their own; this one watches.
+
+    Args:
+        config: the run.
+        folder: a new or empty run directory.
+        callbacks: called once a second.
+        workers: rollout workers on this machine.
+        connect: a router's endpoint through which workers of other machines join, or None.
+        run: the run's name.
+
+    Raises:
+        UsageError: the run is impossible, a folder or a callback cannot be used, or nothing listens at `connect`.
+        EiaSecError: the learner or all workers have failed.
+    """
+    spec = environment_spec(config, trial=True)
+    config.algorithm.require_types([group.name for group in spec.team.groups])
+    start_parameters(config, spec.team)
+    endpoint = Endpoint.parse(connect) if connect else free_endpoint()
+    directory = _directory(config, folder)
+    directory.lock("train.lock")
+    directory.adopt(config, spec.team)
+    plan = ProcessPlan(config, workers, directory, endpoint, run, router=connect is not None)
+    processes, stop = TrainingProcesses(plan), StopSignal()
+    if threading.current_thread() is threading.main_thread():  # elsewhere Ctrl-C reaches the main thread alone
+        stop.install()
+    reason = ""
+    try:
+        processes.start()
+        bus = processes.connect(lambda: bool(stop))
+        if bus is not None:
+            with bus:
+                progress = _Elsewhere(config, RunMonitor(bus, run), partial(processes.set_arguments, bus))
+                _watch(processes, progress, callbacks, stop)
+                if stop or progress.stopped:
+                    processes.drain(bus)
+                call(callbacks, "on_end", progress)
+                reason = progress.reason
+    finally:
+        processes.stop()
+        stop.uninstall()
+        directory.unlock()
+    processes.raise_failure()
+    if stop:
+        raise KeyboardInterrupt(f"stopped; resume with eia-sec train --resume --run-dir {folder}")
+    return _ended(config, folder, reason)
+
+
+def _watch(processes: TrainingProcesses, progress: _Elsewhere, callbacks: Sequence[Callback], stop: StopSignal) -> None:
+    called = time.monotonic()
+    while not (stop or progress.stopped or processes.over):
+        processes.watch()
+        progress.monitor.update()
+        if time.monotonic() - called >= CALL_SECONDS and progress.values:
+            called = time.monotonic()
+            progress.repeat()
+            call(callbacks, "on_progress", progress)
+        stop.event.wait(REFRESH_SECONDS)
+
+
+def _ended(config: RunConfig, folder: Path, reason: str) -> Run:
+    """Return the run whose learner has written its policy."""
+    path = folder / POLICY
+    if not path.is_file():
+        raise RunDirError(f"{folder} has no {POLICY}: the run ended before it could save a policy.")
+    actors, metadata = load_policy(path)
+    return Run(config, actors, int(metadata["environment_steps"]), int(metadata["episodes"]), reason, folder)
+
+
+def _directory(config: RunConfig, folder: Path) -> RunDirectory:
+    directory = RunDirectory(folder)
+    directory.prepare(config, resume=False)
+    return directory
