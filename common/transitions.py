@@ -33,6 +33,8 @@ _WHOLE: Final = re.compile(
 
 LARGEST: Final = 1e7
 """Largest absolute value in a row; observations are about 1, rewards up to some hundreds."""
+MOST_INFOS: Final = 32
+"""Most numbers of an environment's infos in an episode's summary."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ class EpisodeSummary:
         steps: environment steps.
         reward: [agents] sum of each agent's rewards.
         metrics: the environment's episode metrics, by name; the same names for every episode.
+        infos: means of the numbers in a PettingZoo environment's infos, by name; at most MOST_INFOS.
     """
 
     farm: int
@@ -160,6 +163,7 @@ class EpisodeSummary:
     steps: int
     reward: tuple[float, ...]
     metrics: Mapping[str, float]
+    infos: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

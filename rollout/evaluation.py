@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -37,12 +37,14 @@ class Score:
         types: the same over the agents of each type, by the type's name.
         steps: steps of an episode.
         metrics: the episode metrics of the environment, by name.
+        infos: means of the numbers in a PettingZoo environment's infos, over the episodes that have them.
     """
 
     reward: float
     types: Mapping[str, float]
     steps: float
     metrics: Mapping[str, float]
+    infos: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class Evaluation:
             "reward": {"mean": total.reward, **self._types(total)},
             "steps": total.steps,
             **total.metrics,
+            **({"infos": dict(total.infos)} if total.infos else {}),
             "per_farm": [
                 {"farm": farm, "reward": score.reward, **self._types(score), "steps": score.steps, **score.metrics}
                 for farm, score in zip(self.farms, self.per_farm, strict=True)
@@ -257,7 +260,7 @@ def _score(team: TeamSpec, summary: EpisodeSummary) -> Score:
     types = {
         group.name: float(reward[agents].mean()) for group, agents in zip(team.groups, team.agent_slices(), strict=True)
     }
-    return Score(float(reward.mean()), types, float(summary.steps), dict(summary.metrics))
+    return Score(float(reward.mean()), types, float(summary.steps), dict(summary.metrics), dict(summary.infos))
 
 
 def _mean(scores: Sequence[Score]) -> Score:
@@ -267,4 +270,8 @@ def _mean(scores: Sequence[Score]) -> Score:
         types={name: float(np.mean([score.types[name] for score in scores])) for name in first.types},
         steps=float(np.mean([score.steps for score in scores])),
         metrics={name: float(np.mean([score.metrics[name] for score in scores])) for name in first.metrics},
+        infos={
+            name: float(np.mean([score.infos[name] for score in scores if name in score.infos]))
+            for name in sorted({name for score in scores for name in score.infos})
+        },
     )

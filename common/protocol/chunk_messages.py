@@ -1,15 +1,18 @@
 """Converts chunks of experience to messages and back, and packs several of them into one request."""
 
+import math
 from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eia_sec.common.errors import FrameError, SchemaError, VersionError
+from eia_sec.common.names import is_name
 from eia_sec.common.protocol.frame import Data, length
 from eia_sec.common.protocol.messages import ChunkMessage, DeliveryMessage
 from eia_sec.common.team import TeamSpec
-from eia_sec.common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.common.transitions import LARGEST, MOST_INFOS, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_CHUNKS: Final = 64
 """Most chunks in one delivery."""
@@ -28,6 +31,8 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
     names = tuple(done[0].metrics) if done else ()
     values = [[e.metrics[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
+    info_names = tuple(sorted({name for e in done for name in e.infos}))[:MOST_INFOS]
+    infos = np.array([[e.infos.get(name, math.nan) for name in info_names] for e in done], np.float64)
     log_probability = chunk.rows.log_probability
     if log_probability is None:
         log_probability = np.zeros((len(chunk.rows.flag), 0), np.float32)
@@ -47,6 +52,8 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
         episode_metrics=np.array(values, np.float64).reshape(len(done), len(names)),
         metric_names=names,
         state=chunk.rows.state,
+        infos=infos if info_names else None,
+        info_names=info_names or None,
     )
 
 
@@ -100,6 +107,7 @@ def from_message(
         (np.abs(message.episode_reward) <= most).all() and (np.abs(message.episode_metrics) <= team.agents * most).all()
     ):
         raise SchemaError("a finished episode holds a number that is not finite or is too large.")
+    info_names, infos = _infos(message, count)
     episodes = tuple(
         EpisodeSummary(
             int(message.farm[k]),
@@ -107,10 +115,23 @@ def from_message(
             int(message.steps[k]),
             tuple(message.episode_reward[k].tolist()),
             dict(zip(names, message.episode_metrics[k].tolist(), strict=True)),
+            {name: value for name, value in zip(info_names, infos[k].tolist(), strict=True) if not math.isnan(value)},
         )
         for k in range(count)
     )
     return Chunk(rows, episodes)
+
+
+def _infos(message: ChunkMessage, count: int) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Return the names of numbers in infos, and the numbers [K, I] of the K finished episodes."""
+    names, infos = message.info_names or (), message.infos
+    if infos is None:
+        infos = np.zeros((count, 0))
+    if len(names) > MOST_INFOS or len(set(names)) != len(names) or not all(map(is_name, names)):
+        raise SchemaError(f"the numbers in infos have at most {MOST_INFOS} names, each once.")
+    if infos.shape != (count, len(names)) or not (np.isnan(infos) | (np.abs(infos) <= LARGEST)).all():
+        raise SchemaError("the numbers in infos fit neither the finished episodes nor their limits.")
+    return names, infos
 
 
 def fitting(sizes: Sequence[int]) -> int:

@@ -9,6 +9,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.protocol.frame import MAX_FRAME
 from eia_sec.common.team import TeamSpec
+from eia_sec.common.transitions import MOST_INFOS
 
 ROOM: Final = 2**20
 """Bytes of a frame reserved for everything but rows and parameters."""
@@ -24,7 +25,8 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     row = observation + 4 * (team.action_size + team.agents * (2 if config.learns_on_policy else 1)) + 1
     episodes = config.rollout.environments * ends
     state = 4 * config.rollout.environments * team.agents * config.memory_size
-    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents) + state
+    infos = 8 * MOST_INFOS if config.env.is_third_party else 0
+    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + infos + 4 * team.agents) + state
 
 
 def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:

@@ -45,6 +45,8 @@ class ChunkMessage(Message):
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
         episode_metrics, metric_names: [K, F] float64, the environment's episode metrics, and their names.
+        infos, info_names: [K, I] float64, means of the numbers in infos, NaN where an episode has none, and their
+            names; left out where there are none.
     """
 
     KIND = 2
@@ -63,6 +65,8 @@ class ChunkMessage(Message):
     episode_metrics: NDArray[np.float64]
     metric_names: tuple[str, ...]
     state: Float32 | None = None
+    infos: NDArray[np.float64] | None = None
+    info_names: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         ),
         Metric("curves/steps", "steps", "mean length of the same episodes"),
         Metric("curves/*", "", "means of the environment's episode metrics over the same episodes"),
+        Metric("curves/infos/*", "", "means of the numbers in a PettingZoo environment's infos over the same episodes"),
         Metric(
             "environment/*",
             "",

@@ -8,7 +8,7 @@ NAME_LENGTH: Final = 14
 """Most characters of a name."""
 MOST_DIGITS: Final = 6
 MOST_PLOTTED: Final = 2
-"""Most episode metrics that a view shows."""
+"""Most episode metrics, or numbers of infos, that a view shows."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,14 @@ class Curve:
     digits: int
 
 
+INFOS: Final = "infos"
+"""Where the learner's curves hold the numbers of infos."""
 LENGTH: Final = Curve("steps", "episode steps", 0)
 """Shown if the environment plots no episode metric."""
 
 
 def plotted(learner: Mapping[str, Any]) -> list[Curve]:
-    """Return the episode metrics that a view shows.
+    """Return the episode metrics that a view shows; where there are none, the first numbers of infos.
 
     Args:
         learner: the learner's metrics.
@@ -45,7 +47,15 @@ def plotted(learner: Mapping[str, Any]) -> list[Curve]:
         for metric in metrics
         if metric["plotted"]
     ]
+    if not curves and isinstance(infos := learner.get("curves", {}).get(INFOS), Mapping):
+        curves = [Curve(f"{INFOS}/{name}", str(name)[:NAME_LENGTH], 2) for name in sorted(infos)]
     return curves[:MOST_PLOTTED] or [LENGTH]
+
+
+def value_of(curves: Mapping[str, Any], curve: Curve) -> Any:
+    """Return a curve's newest value in the learner's curves, or None where there is none."""
+    section, _, name = curve.name.partition("/")
+    return curves.get(INFOS, {}).get(name) if section == INFOS else curves.get(curve.name)
 
 
 def type_label(learner: Mapping[str, Any], kind: Any) -> str:

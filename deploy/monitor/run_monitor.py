@@ -10,7 +10,7 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, MetricMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.deploy.monitor.alarms import examine
-from eia_sec.deploy.monitor.environment_labels import plotted, type_label
+from eia_sec.deploy.monitor.environment_labels import plotted, type_label, value_of
 from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of
 from eia_sec.deploy.monitor.sanitised import plain
 from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
@@ -109,7 +109,8 @@ class RunMonitor:
         seen.follow(name[0], message, sender.version, now)
         if name[0] == LEARNER and seen.values.get("curves"):
             curves = seen.values["curves"]
-            others = {curve.name: curves[curve.name] for curve in plotted(seen.values) if curve.name in curves}
+            shown = {curve.name: value_of(curves, curve) for curve in plotted(seen.values)}
+            others = {name: value for name, value in shown.items() if value is not None}
             for part, values in ((self._rewards, curves.get("reward", {})), (self._others, others)):
                 for kind, value in values.items():
                     if kind not in part and len(part) >= MOST_CURVES:

@@ -108,7 +108,12 @@ def restored_random(state: Any) -> np.random.Generator:
 
 def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
     """Return an episode's summary as plain values."""
-    return {**asdict(episode), "reward": list(episode.reward), "metrics": dict(episode.metrics)}
+    return {
+        **asdict(episode),
+        "reward": list(episode.reward),
+        "metrics": dict(episode.metrics),
+        "infos": dict(episode.infos),
+    }
 
 
 def episode_summaries(records: Any) -> list[EpisodeSummary]:
@@ -128,8 +133,9 @@ def episode_summaries(records: Any) -> list[EpisodeSummary]:
 def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
     values = dict(record)
     metrics = {str(name): _number(value) for name, value in values["metrics"].items()}
+    infos = {str(name): _number(value) for name, value in values.get("infos", {}).items()}
     reward = tuple(_number(value) for value in values["reward"])
-    episode = EpisodeSummary(**{**values, "reward": reward, "metrics": metrics})
+    episode = EpisodeSummary(**{**values, "reward": reward, "metrics": metrics, "infos": infos})
     if not reward or not all(type(number) is int for number in (episode.farm, episode.episode, episode.steps)):
         raise ValueError("an entry has the wrong type")
     return episode

@@ -9,6 +9,8 @@ from eia_sec.common.transitions import EpisodeSummary
 
 SMOOTHED_EPISODES: Final = 40
 """Episodes in a moving average."""
+INFOS: Final = "infos"
+"""Where means hold the numbers of an environment's infos."""
 
 
 class Curves:
@@ -37,14 +39,24 @@ class Curves:
         reward = {"mean": sum(episode.reward) / len(episode.reward)}
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
-        return {**episode.metrics, "reward": reward, "steps": episode.steps}
+        return {**episode.metrics, "reward": reward, "steps": episode.steps, INFOS: dict(episode.infos)}
 
 
 def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the means of rows; those of infos over the episodes that have them, left out where none has any."""
+    infos: dict[str, list[float]] = {}
+    for row in rows:
+        for name, value in row[INFOS].items():
+            infos.setdefault(name, []).append(value)
+    means = _mean_of_all([{name: value for name, value in row.items() if name != INFOS} for row in rows])
+    return means | ({INFOS: {name: sum(values) / len(values) for name, values in infos.items()}} if infos else {})
+
+
+def _mean_of_all(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the mean of each metric that all rows have; rows from an older checkpoint may have others."""
     first = {name: value for name, value in rows[0].items() if all(name in row for row in rows)}
     return {
-        name: _mean([row[name] for row in rows])
+        name: _mean_of_all([row[name] for row in rows])
         if isinstance(value, dict)
         else sum(row[name] for row in rows) / len(rows)
         for name, value in first.items()

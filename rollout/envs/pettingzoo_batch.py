@@ -18,6 +18,7 @@ from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32, described
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.rollout.envs.base import Patience
+from eia_sec.rollout.envs.episode_infos import EpisodeInfos
 from eia_sec.rollout.envs.guard import Guard
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
@@ -41,7 +42,7 @@ class PettingZooBatch:
 
     Attributes:
         team: layout of a row, type by type.
-        spec: what generic code needs to know; there are no episode metrics.
+        spec: what generic code needs to know; there are no episode metrics but `infos`.
         names: the agents in row order.
         observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does, each agent's action mask
             at the end.
@@ -51,6 +52,7 @@ class PettingZooBatch:
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] whether all remaining agents terminated in the last step.
         ended: [E] whether the episode is over.
+        infos: the numbers in what `step` tells agents besides.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -91,6 +93,7 @@ class PettingZooBatch:
         self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)
+        self.infos = EpisodeInfos(environments, config.name)
         self._returns = np.zeros((environments, self.team.agents))
         self._seeds = [(-1, -1)] * environments
 
@@ -101,6 +104,7 @@ class PettingZooBatch:
         observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
         self._observe(index, "reset()", observations, infos)
         self._seeds[index] = (scenario_seed, episode_seed)
+        self.infos.begin(index)
         self.time[index] = 0
         self.reward[index] = self._returns[index] = 0.0
         self.terminated[index] = self.ended[index] = False
@@ -133,7 +137,8 @@ class PettingZooBatch:
         """Return the summary of an environment's episode so far; raise SimulationError before the first."""
         if self.time[index] < 0:
             raise SimulationError(f"environment {index} has not been reset yet.")
-        return EpisodeSummary(*self._seeds[index], int(self.time[index]), tuple(self._returns[index].tolist()), {})
+        rewards = tuple(self._returns[index].tolist())
+        return EpisodeSummary(*self._seeds[index], int(self.time[index]), rewards, {}, self.infos.means(index))
 
     def change_arguments(self, arguments: str) -> None:
         """Make each environment with other arguments, a JSON object, when its next episode begins.
@@ -178,6 +183,7 @@ class PettingZooBatch:
         here = present | set(environment.agents)
         seen = {name: part for name, part in step.observations.items() if name in here}
         self._observe(index, "step()", seen, step.infos)
+        self.infos.add(index, step.infos)
         self.time[index] += 1
         self.reward[index] = [step.rewards.get(name, 0.0) for name in self.names]
         self._returns[index] += self.reward[index]

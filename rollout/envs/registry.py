@@ -95,6 +95,12 @@ def change_arguments(environments: Environments, arguments: str) -> None:
     environments.change_arguments(arguments)
 
 
+def infos_alarm(environments: Environments) -> str:
+    """Return a sentence about numbers in infos that cannot become metrics, or an empty string."""
+    infos = getattr(environments, "infos", None)
+    return "" if infos is None else str(infos.alarm)
+
+
 def environment_spec(config: RunConfig, *, trial: bool = False, reach: Reach | None = None) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 

@@ -16,7 +16,7 @@ from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from eia_sec.rollout.envs.base import Patience, Reach
-from eia_sec.rollout.envs.registry import change_arguments, make_environments
+from eia_sec.rollout.envs.registry import change_arguments, infos_alarm, make_environments
 from eia_sec.rollout.worker.action_sampler import ActionSampler
 from eia_sec.rollout.worker.hindsight_credit import credit_newest, shares_of
 from eia_sec.rollout.worker.random_rows import RandomRows
@@ -94,6 +94,11 @@ class Collector:
     def close(self) -> None:
         """Close the environments."""
         self.environments.close()
+
+    @property
+    def alarm(self) -> str:
+        """A sentence about numbers in infos that cannot become metrics, or an empty string."""
+        return infos_alarm(self.environments)
 
     def change_arguments(self, arguments: str) -> None:
         """Make each environment with other arguments, a JSON object, when its next episode begins.

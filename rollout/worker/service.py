@@ -313,7 +313,13 @@ class Worker:
         }
 
     def _alarms(self) -> list[str]:
-        own = (self.history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
+        own = (
+            self.history.failure,
+            self._gate.pause_reason,
+            self._clock_alarm,
+            self._learner.alarm,
+            self._collector.alarm,
+        )
         found = (*own, self._outages.alarm, call_alarm())
         return [text for text in found if text]
 
