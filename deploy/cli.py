@@ -1,5 +1,6 @@
 """The console command `eia-sec`: the first word names the subcommand, the rest are its options."""
 
+import faulthandler
 import gc
 import importlib
 import io
@@ -162,6 +163,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 def main() -> None:
     """Entry point of the console script."""
     _open_standard_streams()
+    faulthandler.enable()  # a library of the user's may crash without a word
     # Until a command handles it: what it has started is ended, and PID 1 of a container has no other way to stop.
     signal.signal(signal.SIGTERM, _terminate)
     for stream in (sys.stdout, sys.stderr):

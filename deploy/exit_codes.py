@@ -18,6 +18,8 @@ INTERRUPTED: Final = 130
 """128 + SIGINT, as in shells."""
 PIPE_CLOSED: Final = 141
 """128 + SIGPIPE: the reader of the output, such as `| head`, has exited."""
+OUR_CODES: Final = (DONE, FAILED, USAGE, INTERRUPTED, PIPE_CLOSED, 143)
+"""All that a command of ours ends with; the last is 128 + SIGTERM."""
 CLOSED: Final = (errno.EACCES, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """Errors of paths that lead nowhere or where this user may not go."""
 

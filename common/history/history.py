@@ -5,10 +5,11 @@ One JSON array per line, the first of which is ["history", FORMAT]; then
     ["start", role, name, incarnation]                   a process began; the learner's incarnation is its epoch
     ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
     ["end"]                                              the process ended normally
+    ["timeout"]                                          a call of its environment took too long, and it was ended
     [verdict, worker, incarnation, first, last, steps, produced, flown]
     ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
-The fourth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
+The fifth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
 `produced` and `flown` are the worker's counts including the last of them (see
 `eia_sec.common.protocol.messages.ChunkMessage`).
 
@@ -66,6 +67,11 @@ class Resume:
 @dataclass(frozen=True)
 class End:
     """The process ended normally."""
+
+
+@dataclass(frozen=True)
+class Timeout:
+    """The process was ended because a call of its environment took longer than `env.step_timeout`."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ class Summary:
         return replace(self, last=max(self.last, other.last), **added)
 
 
-Record = Start | Resume | End | Entry | Summary | Unreadable
+Record = Start | Resume | End | Timeout | Entry | Summary | Unreadable
 
 
 def parse(line: str) -> Record:
@@ -146,6 +152,8 @@ def parse(line: str) -> Record:
                 return Resume({_name(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
                 return End()
+            case ["timeout"]:
+                return Timeout()
             case ["sum", str(worker), *numbers] if len(numbers) == len(fields(Summary)) - 1:
                 return Summary(_name(worker), *_whole(*numbers))
             case [str(verdict), str(worker), *numbers] if len(numbers) == 6:
@@ -182,6 +190,8 @@ def text(record: Record) -> str:
             parts = ["resume", record.workers]
         case End():
             parts = ["end"]
+        case Timeout():
+            parts = ["timeout"]
         case Entry():
             parts = list(vars(record).values())
         case Summary():

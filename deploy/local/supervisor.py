@@ -13,8 +13,9 @@ from typing import Final
 
 from eia_sec.common.log import SEPARATOR, log
 from eia_sec.common.process import SUPERVISOR
-from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.deploy.exit_codes import OUR_CODES, USAGE
 from eia_sec.deploy.local.file_ends import last_lines
+from eia_sec.deploy.local.memory_kills import kill_sentence, memory_kills
 from eia_sec.deploy.local.threads import thread_environment
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
@@ -23,6 +24,7 @@ HEALTHY_SECONDS: Final = 60.0
 """A child that ran this long before it died starts with a clean record."""
 TERMINATE_SECONDS: Final = 8.0
 KILL_SECONDS: Final = 2.0
+FOREIGN: Final = "no command of ours ends with it; code of an environment or a library has ended the process"
 TAIL_LINES: Final = 5
 TAIL_BYTES: Final = 64 * 1024
 """Most bytes of a log that are looked at for its last lines."""
@@ -40,6 +42,8 @@ class Child:
         done: whether it exited as intended.
         given_up: whether it is not restarted any more.
         code: its last exit code.
+        ending: how it ended last, as the rest of a sentence about it.
+        kills: processes that the kernel had killed for lack of memory when it started.
     """
 
     name: str
@@ -52,6 +56,8 @@ class Child:
     done: bool = False
     given_up: bool = False
     code: int | None = None
+    ending: str = ""
+    kills: dict[str, int] = field(default_factory=dict)
     restart_arguments: list[str] = field(default_factory=list)
 
 
@@ -62,6 +68,15 @@ def _ended_with(process: subprocess.Popen[bytes]) -> int | None:
         with suppress(ProcessLookupError, PermissionError):  # the latter where only zombies are left, on macOS
             os.killpg(process.pid, signal.SIGKILL)
     return code
+
+
+def _reason(child: Child, code: int) -> tuple[str, str]:
+    """Return how a child ended, and what is known about that beyond its own last line."""
+    if code == -signal.SIGKILL:
+        return "ended with signal 9", kill_sentence(child.kills)
+    if code < 0:
+        return f"ended with signal {-code}", ""
+    return f"ended with exit code {code}", "" if code in OUR_CODES else FOREIGN
 
 
 class Supervisor:
@@ -135,7 +150,7 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         again = child.restart_arguments if child.deaths else []
-        child.started = time.monotonic()
+        child.started, child.kills = time.monotonic(), memory_kills()
         environment = {
             **os.environ,
             **self._environment,
@@ -155,7 +170,7 @@ class Supervisor:
                 )
         except OSError as error:
             # No room for its log or for one more process; there may be some at the next try.
-            self._died(child, f"could not be started ({error.strerror})", [])
+            self._died(child, f"could not be started ({error.strerror})", "", [])
 
     def _ended(self, child: Child, code: int) -> None:
         child.process, child.code = None, code
@@ -164,13 +179,14 @@ class Supervisor:
             return
         if time.monotonic() - child.started > HEALTHY_SECONDS:
             child.deaths = 0
-        reason = f"signal {-code}" if code < 0 else f"exit code {code}"
         lines = self.tail(child.name).splitlines()
-        self._died(child, f"ended with {reason}", lines, for_good=code == USAGE)
+        self._died(child, *_reason(child, code), lines, for_good=code == USAGE)
 
-    def _died(self, child: Child, how: str, lines: Sequence[str], *, for_good: bool = False) -> None:
+    def _died(self, child: Child, how: str, why: str, lines: Sequence[str], *, for_good: bool = False) -> None:
         """Raise an alarm about a child that died, and give it up or schedule its restart."""
-        said = f": {lines[-1]}" if lines else ""
+        child.ending = how + (f": {why}" if why else "")
+        said = (f": {why}" if why else "") + (f"; its last line: {lines[-1]}" if lines and why else "")
+        said = said or (f": {lines[-1]}" if lines else "")
         if for_good or child.deaths >= len(BACKOFF_SECONDS):
             child.given_up = True
             self.alarm(f"{child.name} {how} and is not restarted{said}", lines)

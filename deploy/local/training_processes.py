@@ -1,7 +1,7 @@
 """The processes of one run on this machine: learner, coordinator and workers, and the session that watches them."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,12 +15,15 @@ from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.exit_codes import USAGE
 from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 from eia_sec.deploy.local.supervisor import Child, Supervisor
+from eia_sec.rollout.worker.sender import UNDELIVERED
 
 DRAIN_SECONDS: Final = 8.0
 JOIN_SECONDS: Final = 300.0
 """Seconds that workers and coordinator wait for the learner to listen."""
 LISTEN_SECONDS: Final = 60.0
 """Seconds that the learner may take until it listens."""
+ALONE_SECONDS: Final = 10.0
+"""Time after which a learner that trains without any worker left is given up."""
 LEARNER, COORDINATOR = "learner.learner", "elite.coordinator"
 """Certificates that they need besides rollout.0, rollout.1, ..."""
 
@@ -66,6 +69,7 @@ class TrainingProcesses:
     def __init__(self, plan: ProcessPlan) -> None:
         self._plan = plan
         self.supervisor = Supervisor(plan.directory.path / "logs")
+        self._alone = 0.0
 
     @property
     def learner(self) -> Child:
@@ -122,11 +126,14 @@ class TrainingProcesses:
         """Whether the learner has ended."""
         return self.learner.done or self.learner.given_up
 
-    def watch(self) -> None:
+    def watch(self, *, training: bool) -> None:
         """Restart processes that died.
 
+        Args:
+            training: whether the learner says that it trains.
+
         Raises:
-            UsageError, EiaSecError: all workers have failed, or in lockstep the coordinator.
+            UsageError, EiaSecError: all workers have failed or ended, or in lockstep the coordinator.
         """
         self.supervisor.watch()
         children = self.supervisor.children
@@ -135,9 +142,26 @@ class TrainingProcesses:
             last = self.supervisor.tail("rollout-0")
             if workers[0].code == USAGE and last:
                 raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
-            raise EiaSecError(f"all workers failed; the last lines of one were:\n{last}")
+            raise EiaSecError(f"all workers failed; one of them {workers[0].ending}{_last_lines(last)}")
+        self._require_workers(workers, training=training)
         if self._plan.lockstep and children["elite"].given_up:
-            raise EiaSecError(f"the coordinator failed; its last lines were:\n{self.supervisor.tail('elite')}")
+            last = self.supervisor.tail("elite")
+            raise EiaSecError(f"the coordinator {children['elite'].ending}{_last_lines(last)}")
+
+    def _require_workers(self, workers: Sequence[Child], *, training: bool) -> None:
+        """Raise EiaSecError when a learner trains with nobody: code of others may end a worker as if it were done."""
+        if not workers or not all(child.done or child.given_up for child in workers):
+            self._alone = 0.0
+        elif not self._alone:
+            self._alone = time.monotonic()
+        elif training and time.monotonic() - self._alone > ALONE_SECONDS:
+            last = _last_lines(self.supervisor.tail("rollout-0"))
+            raise EiaSecError(f"all workers have ended with exit code 0, and the run is not finished{last}")
+
+    def undelivered(self) -> list[str]:
+        """Return what workers that have ended say of steps that are lost with them."""
+        workers = [name for name in self.supervisor.children if name.startswith("rollout-")]
+        return [line for name in workers for line in self.supervisor.tail(name).splitlines() if UNDELIVERED in line]
 
     def set_arguments(self, bus: Bus, arguments: str) -> None:
         """Give the run's environments other arguments, a JSON object; raise BusError when the learner refuses them."""
@@ -165,8 +189,13 @@ class TrainingProcesses:
         if self.learner.code == USAGE:
             reason = (last.splitlines() or ["the learner was refused, and there was no room to say why."])[-1]
             raise UsageError(reason.removeprefix("eia-sec: "))
-        raise EiaSecError(f"the learner failed; its last lines were:\n{last}")
+        raise EiaSecError(f"the learner {self.learner.ending}{_last_lines(last)}")
 
     def stop(self) -> None:
         """End all processes."""
         self.supervisor.stop()
+
+
+def _last_lines(text: str) -> str:
+    """Return the end of a sentence about a process with its last lines."""
+    return f"; its last lines were:\n{text}" if text else ", and said nothing."

@@ -56,7 +56,7 @@ def summary(snapshot: Snapshot) -> str:
     """Return a summary in one line of plain text."""
     if not (snapshot.episodes_total or snapshot.steps_total):
         waiting = f"{snapshot.state}: no report from the learner yet"
-        return "; ".join(filter(None, (waiting, _alarm_count(len(snapshot.alarms)))))
+        return "; ".join(filter(None, (waiting, _count(len(snapshot.alarms), "alarm"))))
     rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
     parts = [
         f"{snapshot.state}: {_budget(snapshot)}",
@@ -64,7 +64,9 @@ def summary(snapshot: Snapshot) -> str:
         f"{number(snapshot.steps_rate)} steps/s",
         f"{number(snapshot.updates_rate)} updates/s",
         f"{duration(snapshot.left)} left" if snapshot.left is not None else "",
-        _alarm_count(len(snapshot.alarms)),
+        _count(snapshot.outages, "outage"),
+        _count(snapshot.step_timeouts, "step timeout"),
+        _count(len(snapshot.alarms), "alarm"),
     ]
     return "; ".join(part for part in parts if part)
 
@@ -179,5 +181,6 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.0%}"
 
 
-def _alarm_count(number: int) -> str:
-    return {0: "", 1: "1 alarm"}.get(number, f"{number} alarms")
+def _count(number: int, what: str) -> str:
+    """Return how many there are, or an empty text for none."""
+    return f"{number} {what}{'s' if number > 1 else ''}" if number else ""

@@ -23,7 +23,9 @@ COUNTERS: Final = ("environment_steps", "waiting_seconds", *COUNTED.values())
 MOST_ALARMS: Final = 16
 """Most alarms of one process that are shown; the rest are counted."""
 _LEDGER: Final = ("produced", "accepted", "duplicates", "rejected", "in_flight", "unexplained", "lost")
-_SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds"))
+TROUBLES: Final = ("outages", "step_timeouts")
+"""A worker's counts of what its environments did."""
+_SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds", *TROUBLES))
 """The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
 _OF_ELITE: Final = frozenset(("rate", "next_episode", "elites", "failures"))
 _WHOLE: Final = "learner"
@@ -115,6 +117,8 @@ def _check(values: Mapping[str, Any]) -> None:
     for number in (*values.get("elites", {}).values(), *values.get("waits", {}).values()):
         float(number)
     plotted(values), type_label(values, "")
+    for name in TROUBLES:
+        int(values.get(name, 0))
     float(values.get("rate", 0)), float(values.get("next_episode", 0)), int(values.get("failures", 0))
     if not all(isinstance(text, str) for text in values.get("alarms", [])):
         raise SchemaError("an alarm is not a text.")

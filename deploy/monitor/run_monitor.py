@@ -167,6 +167,8 @@ class RunMonitor:
             worker_wait=self._worker_wait(),
             ledger=ledger_of(values.get("ledger", {})),
             others=(int(ledgers[OTHERS].get("workers", 0)), ledger_of(ledgers[OTHERS])) if OTHERS in ledgers else None,
+            outages=self._sum("outages"),
+            step_timeouts=self._sum("step_timeouts"),
             imitation=self._imitation(),
             processes=rows,
             alarms=(*alarms, *complaints, *self._alarms(values), *_hidden(len(before) - room, self._turned_away)),
@@ -177,9 +179,18 @@ class RunMonitor:
         learner = self._of(LEARNER)
         return dict(learner.values) if learner else {}
 
+    @property
+    def trains(self) -> bool:
+        """Whether the learner says that it trains."""
+        return self.learner_values().get("state") == "training"
+
     def _of(self, role: str) -> ProcessReport | None:
         found = [seen for (kind, _), seen in self._reports.items() if kind == role]
         return max(found, key=lambda seen: seen.at) if found else None
+
+    def _sum(self, counter: str) -> int:
+        """Return the sum of a counter of all workers."""
+        return sum(int(seen.values.get(counter, 0)) for (role, _), seen in self._reports.items() if role == "rollout")
 
     def _freshness(self) -> tuple[Series, ...]:
         return tuple(
@@ -268,6 +279,8 @@ class RunMonitor:
             found.append(f"{learner['replaced']} requests came from starts of workers that have been replaced.")
         if ledger.get("unexplained"):
             found.append(f"{ledger['unexplained']} environment steps are unexplained.")
+        if timeouts := self._sum("step_timeouts"):
+            found.append(f"{timeouts} calls of environments took longer than env.step_timeout; workers were replaced.")
         missed = sum(seen.missed for seen in self._reports.values())
         if missed:
             found.append(f"{missed} metric messages did not reach this view.")

@@ -164,6 +164,8 @@ class Snapshot:
         worker_wait: mean share of their time that workers wait for the learner, 0..1.
         ledger: the run's steps.
         others: the number of workers that the learner reports as a sum, and their steps.
+        outages: times that environments of the workers' present starts went away.
+        step_timeouts: times that workers were ended and replaced because of `env.step_timeout`.
         imitation: the elite imitation so far.
         processes: one row for each process.
         alarms: one sentence each.
@@ -188,6 +190,8 @@ class Snapshot:
     worker_wait: float | None = None
     ledger: LedgerCounts = field(default_factory=LedgerCounts)
     others: tuple[int, LedgerCounts] | None = None
+    outages: int = 0
+    step_timeouts: int = 0
     imitation: Imitation = field(default_factory=Imitation)
     processes: tuple[ProcessRow, ...] = ()
     alarms: tuple[str, ...] = ()

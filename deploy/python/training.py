@@ -29,6 +29,7 @@ from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.envs.registry import environment_spec, patient_with
 from eia_sec.rollout.start_policy import start_parameters
 from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.outages import Outages
 
 REFRESH_SECONDS: Final = 0.2
 """Time between two looks at the processes."""
@@ -164,7 +165,7 @@ def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callb
     Raises:
         UsageError: the run is impossible, a folder or a callback cannot be used.
     """
-    spec = environment_spec(config, trial=True)
+    spec = environment_spec(config, trial=True, patience=Outages(threading.Event()))
     config.algorithm.require_types([group.name for group in spec.team.groups])
     start_parameters(config, spec.team)
     directory = None if folder is None else _directory(config, folder)
@@ -213,7 +214,7 @@ def train_elsewhere(
         UsageError: the run is impossible, a folder or a callback cannot be used, or nothing listens at `connect`.
         EiaSecError: the learner or all workers have failed.
     """
-    spec = environment_spec(config, trial=True)
+    spec = environment_spec(config, trial=True, patience=Outages(threading.Event()))
     config.algorithm.require_types([group.name for group in spec.team.groups])
     start_parameters(config, spec.team)
     endpoint = Endpoint.parse(connect) if connect else free_endpoint()
@@ -249,7 +250,7 @@ def train_elsewhere(
 def _watch(processes: TrainingProcesses, progress: _Elsewhere, callbacks: Sequence[Callback], stop: StopSignal) -> None:
     called = time.monotonic()
     while not (stop or progress.stopped or processes.over):
-        processes.watch()
+        processes.watch(training=progress.monitor.trains)
         progress.monitor.update()
         if time.monotonic() - called >= CALL_SECONDS and progress.values:
             called = time.monotonic()

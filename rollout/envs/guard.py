@@ -7,6 +7,7 @@ Whatever that code does, the process around it goes on as before:
   the program. An `EnvironmentOutageError` passes through, and so does what ends this process.
 - Numpy's error state, torch's default type, warning filters, the working directory and the command line are the user's
   own inside a call and this process's own outside. Signal handlers are put back after each call.
+- `os._exit`, which would end the process without a word, is an attempt to end the program like any other.
 """
 
 import importlib
@@ -22,8 +23,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
@@ -274,6 +276,7 @@ def calling(name: str, method: str) -> Iterator[str]:
         The method.
     """
     ours, handlers = _Settings.now(), _handlers()
+    _Exits.watch(name)
     (_theirs.pop() if _theirs else ours._replace(argv=[name])).apply(ours)
     Guard.running = Running(name, method, time.monotonic())
     try:
@@ -294,6 +297,31 @@ def calling(name: str, method: str) -> Iterator[str]:
         _theirs.append(_Settings.now())
         ours.apply(_theirs[0])
         _restore(handlers)
+
+
+class _Exits:
+    """Stands for `os._exit`, from the first call of a user's code on."""
+
+    really: Final = os._exit
+
+    @classmethod
+    def watch(cls, name: str) -> None:
+        """Name the environment to which this process's exits belong."""
+        os._exit = partial(cls._exit, name, os.getpid())
+
+    @classmethod
+    def _exit(cls, name: str, process: int, status: int) -> NoReturn:
+        if os.getpid() != process:  # a fork, which may end as it likes
+            cls.really(status)
+        if Guard.running is not None and threading.current_thread() is threading.main_thread():
+            raise SystemExit(status)
+        log(f"{name}: a thread of it ended the program with os._exit({status}).")
+        cls.really(1)
+
+
+def end_process(code: int) -> NoReturn:
+    """End this process at once, whatever its main thread does."""
+    _Exits.really(code)
 
 
 class _Settings(NamedTuple):

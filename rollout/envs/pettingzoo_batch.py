@@ -80,7 +80,7 @@ class PettingZooBatch:
         with ExitStack() as made:
             made.callback(self.close)
             self._environments += (self._made_anew(k) for k in range(environments))
-            agents = describe(self._environments[0], config.types)
+            agents = self._until_back(0, partial(describe, self._environments[0], config.types))
             made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))

@@ -101,11 +101,14 @@ def infos_alarm(environments: Environments) -> str:
     return "" if infos is None else str(infos.alarm)
 
 
-def environment_spec(config: RunConfig, *, trial: bool = False, reach: Reach | None = None) -> EnvironmentSpec:
+def environment_spec(
+    config: RunConfig, *, trial: bool = False, patience: Patience | None = None, reach: Reach | None = None
+) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 
     Args:
         config: the run.
+        patience: as for `make_environments`.
         trial: whether an environment from outside is also tried for TRIAL_STEPS steps with random actions, so that
             its mistakes show before any process of a run starts.
         reach: how environments are reached that others serve.
@@ -119,7 +122,7 @@ def environment_spec(config: RunConfig, *, trial: bool = False, reach: Reach | N
     if farm is not None and not farm.battery.watched:
         # Without loading the simulator.
         return _trainable(config, _farm_spec(farm))
-    with patient_with(config), closing(make_environments(config, 1, reach=reach)) as environments:
+    with patient_with(config), closing(make_environments(config, 1, patience=patience, reach=reach)) as environments:
         spec = _trainable(config, environments.spec)
         if trial and config.env.is_third_party:
             _try(environments)

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from typing import Final, NoReturn
 
 from eia_sec.common.log import log
-from eia_sec.rollout.envs.guard import Guard
+from eia_sec.rollout.envs.guard import Guard, end_process
 
 PERIOD_SECONDS: Final = 1.0
 ALARM_SECONDS: Final = (10, 60, 600, 3600)
@@ -25,10 +25,20 @@ class Watchdog:
         limit: seconds after which it ends the process because a call has not returned; 0 for none.
         speak: called every second of a call that takes longer than that, from this thread.
         ends: whether the process should end.
+        timed_out: called before the process ends because of the limit.
+
+    Attributes:
+        speak, timed_out: as given; may be replaced.
     """
 
-    def __init__(self, limit: float, speak: Callable[[], None], ends: Callable[[], bool] = lambda: False) -> None:
-        self.speak = speak
+    def __init__(
+        self,
+        limit: float,
+        speak: Callable[[], None],
+        ends: Callable[[], bool] = lambda: False,
+        timed_out: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.speak, self.timed_out = speak, timed_out
         self._limit, self._ends = limit, ends
         self._closed = threading.Event()
         self._ending_since: float | None = None
@@ -50,6 +60,7 @@ class Watchdog:
             self.speak()
             told = f"{running.environment} has been in {running.method} for {running.seconds:.0f} s"
             if 0.0 < self._limit < running.seconds:
+                self.timed_out()
                 _leave(f"{told}, longer than env.step_timeout {self._limit:g}; this process ends.")
             if self._ending_since is not None and now - max(self._ending_since, running.since) > STUCK_SECONDS:
                 _leave(f"{told}, and is not waited for any longer; this process ends.")
@@ -81,4 +92,4 @@ def _leave(sentence: str) -> NoReturn:
     log(sentence)
     if os.getpgrp() == os.getpid():  # as a supervisor starts it; else others are in the group
         os.killpg(0, signal.SIGTERM)  # this process only notes it
-    os._exit(1)
+    end_process(1)

@@ -40,7 +40,9 @@ class Outages:
 
     def pause(self, failed: int) -> None:
         """Pause after so many failed tries in a row; raise CancelledError when the process ends."""
-        if self._stop.wait(min(LONGEST_SECONDS, FIRST_SECONDS * 2.0 ** min(failed - 1, 30))):
+        seconds = min(LONGEST_SECONDS, FIRST_SECONDS * 2.0 ** min(failed - 1, 30))
+        log(f"the environment is still away after {failed} {'try' if failed == 1 else 'tries'}; next in {seconds:g} s.")
+        if self._stop.wait(seconds):
             raise CancelledError("the environment is away, and this process ends.")
 
     def over(self) -> None:

@@ -38,6 +38,8 @@ IDLE_SECONDS = 1.0
 """Pause of a sender with an empty spool; an offer ends it."""
 RETRY_SECONDS = 0.2
 """Pause before unsettled chunks are sent again."""
+UNDELIVERED = "were not delivered"
+"""What a worker's last words say of the steps that are lost with it."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Sender:
         produced: environment steps offered so far.
         accepted: environment steps that the learner has acknowledged.
         rejected: environment steps in chunks that the learner refused.
+        left_behind: environment steps of a chunk that can never be offered.
         retries: requests that had to be repeated.
         learner_closed: whether the learner's last answer said that it takes no more chunks.
         replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
@@ -96,6 +99,7 @@ class Sender:
     ) -> None:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = self.answered_at = 0.0
+        self.left_behind = 0
         self.window = NO_LIMIT
         self.untaken = 0
         self.learner_closed = self.replaced = False
@@ -135,15 +139,25 @@ class Sender:
             ) from error
         sealed = message.encode()
         with self._lock:
-            self._sequence += 1
-            self.produced += steps
-            number = self._sequence
-            record = Entry(
-                "produced", self._worker, self._incarnation, number, number, steps, self.produced, self.flown
-            )
-            self._history.add(record)
+            number = self._produce(steps)
             self._held.append(_Held(number, version, self.produced, steps, sealed))
         self.offered.set()
+
+    def leave_behind(self, steps: int) -> None:
+        """Record an unfinished chunk that nobody would take, as the last one; an audit counts it as lost."""
+        with self._lock:
+            self._produce(steps)
+            self.left_behind += steps
+
+    def _produce(self, steps: int) -> int:
+        """Record one more chunk and return its number."""
+        self._sequence += 1
+        self.produced += steps
+        number = self._sequence
+        self._history.add(
+            Entry("produced", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
+        )
+        return number
 
     @property
     def spooled(self) -> int:

@@ -24,7 +24,7 @@ from eia_sec.common.clock import monotonic
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import CancelledError, EiaSecError, EnvironmentFaultError, UsageError
-from eia_sec.common.history.history import History, Start
+from eia_sec.common.history.history import History, Start, Timeout
 from eia_sec.common.incarnation import new_incarnation, seconds_ahead
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, in_thread, run
@@ -42,7 +42,7 @@ from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.evaluation_service import EvaluationService
 from eia_sec.rollout.worker.learner_link import COLLECTING, LearnerLink
 from eia_sec.rollout.worker.outages import Outages
-from eia_sec.rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
+from eia_sec.rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, UNDELIVERED, Sender
 from eia_sec.rollout.worker.view_service import ViewService
 from eia_sec.rollout.worker.warm_up import warm_up
 
@@ -140,14 +140,14 @@ class Worker:
         self._clock_alarm = _clock_alarm(answer.newest_incarnation)
         self._collector, self._outages, self._presence = collector, outages, presence
         self._arguments = ""
-        # A run in lockstep repeats whole chunks, and networks with memory learn from whole sequences of equal length.
-        self._cuts_chunks = not answer.lockstep and not config.memory_size
+        self._whole = _why_whole(config, lockstep=answer.lockstep)
         team = collector.team
         if team.to_dict() != answer.team:
             raise UsageError(
                 f"the learner of run {options.run} is for a different team than {config.env.name} has here."
             )
         self.history = History(options.history)
+        self._timeouts = _timeouts(self.history)
         self.history.add(Start("rollout", name, start))
         patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
         rules = ChunkRules.of(config, collector.environments.spec)
@@ -171,8 +171,11 @@ class Worker:
         while not self._stop and self._learner.state != "finished":
             yield from self._turn()
         left = max(DELIVER_SECONDS, self._seconds_left())
-        if not (yield from self.sender.wait_empty(left, self._serve_while_ending)):
-            log(f"worker {self._options.name}: {self.sender.in_flight} steps were not delivered.")
+        yield from self.sender.wait_empty(left, self._serve_while_ending)
+        if steps := self.sender.in_flight:
+            unfinished = self.sender.left_behind
+            why = f", {unfinished} of them because {self._whole}" if unfinished else ""
+            log(f"worker {self._options.name}: {steps} steps {UNDELIVERED}{why}.")
         steps, state = self._collector.environment_steps, self._learner.state
         log(f"worker {self._options.name} ends after {steps} steps; the learner is {state}.")
         self._report()
@@ -227,7 +230,7 @@ class Worker:
             if self._is_deliverable(chunk):
                 self.sender.offer(chunk, version)
             else:
-                log(f"worker {self._options.name}: {chunk.rows.steps} steps of an unfinished chunk were left behind.")
+                self.sender.leave_behind(chunk.rows.steps)
         self._times.collecting += monotonic() - started
 
     def _renew_arguments(self) -> None:
@@ -239,7 +242,7 @@ class Worker:
 
     def _is_deliverable(self, chunk: Chunk) -> bool:
         """Return whether a chunk is whole, or may be shorter."""
-        return self._cuts_chunks or chunk.rows.steps == self._collector.chunk_steps
+        return not self._whole or chunk.rows.steps == self._collector.chunk_steps
 
     def _goes_on(self) -> bool:
         """Report, and return whether the chunk that is being collected should get another step.
@@ -248,7 +251,7 @@ class Worker:
         only the time is left that deliveries need.
         """
         self._report_if_due()
-        if not self._cuts_chunks:
+        if self._whole:
             return self._seconds_left() > DELIVER_SECONDS
         if monotonic() - self._times.polled >= POLL_SECONDS:
             self._times.polled = monotonic()
@@ -281,6 +284,12 @@ class Worker:
             self._presence.report(self._metrics(), self._learner.store.version)
             self._times.reported = monotonic()
 
+    def note_timeout(self) -> None:
+        """Count that a call of the environment takes too long and ends this process; any thread may call this."""
+        self.history.add(Timeout())
+        self._timeouts += 1
+        self.report()
+
     def _metrics(self) -> dict[str, Any]:
         times, sender, learner = self._times, self.sender, self._learner
         return {
@@ -290,6 +299,7 @@ class Worker:
             "accepted": sender.accepted,
             "rejected": sender.rejected,
             "in_flight": sender.in_flight,
+            "left_behind": sender.left_behind,
             "retries": sender.retries,
             "spooled": sender.spooled,
             "simulating_seconds": times.collecting,
@@ -309,6 +319,7 @@ class Worker:
             "outages": self._outages.count,
             "steps_resent": COUNTS.resent,
             "answers_refused": COUNTS.refused,
+            "step_timeouts": self._timeouts,
             "alarms": self._alarms(),
         }
 
@@ -330,6 +341,18 @@ class Worker:
             times.denied = times.reported
             if (sentence := denial(self._control, run, self.sender.key)) is not None:
                 log(f"worker {self._options.name}: {sentence}")
+
+
+def _why_whole(config: RunConfig, *, lockstep: bool) -> str:
+    """Return why a run takes no chunk that ended early, or an empty text."""
+    if lockstep:
+        return "a lockstep run repeats whole chunks"
+    return "networks with memory learn from chunks of equal length" if config.memory_size else ""
+
+
+def _timeouts(history: History) -> int:
+    """Return how many earlier starts were ended because of `env.step_timeout`."""
+    return sum(isinstance(record, Timeout) for record in history.before)
 
 
 def _clock_alarm(newest_incarnation: int) -> str:
@@ -381,21 +404,27 @@ def _work(
 ) -> None:
     """Make the environments, work, and close them, and report all the while."""
     start, name = new_incarnation(answer.newest_incarnation), options.name
+    before = _timeouts(History(options.history))
     presence, outages = Presence(control, options.run, "rollout", name, start), Outages(stop.event)
 
     reach = Reach(control, f"{options.run}/{name}")
 
     def report() -> None:
-        presence.report({"state": "starting", "alarms": [text for text in (outages.alarm, call_alarm()) if text]})
+        alarms = [text for text in (outages.alarm, call_alarm()) if text]
+        values = {"outages": outages.count, "step_timeouts": before, "alarms": alarms}
+        presence.report({"state": "starting", **values})
+
+    def timed_out() -> None:
+        History(options.history).add(Timeout())
 
     report()
     try:
         with (
-            closing(Watchdog(config.env.step_timeout, report, lambda: bool(stop))) as watchdog,
+            closing(Watchdog(config.env.step_timeout, report, lambda: bool(stop), timed_out)) as watchdog,
             closing(Collector(config, name, 0 if answer.lockstep else start, outages, reach)) as collector,
         ):
             worker = Worker(options, config, answer, control, bulk, stop, presence, collector, start, outages)
-            watchdog.speak = worker.report
+            watchdog.speak, watchdog.timed_out = worker.report, worker.note_timeout
             deliveries = in_thread("sender", worker.sender.deliver(), worker.sender.offered)
             try:
                 run(worker.run())

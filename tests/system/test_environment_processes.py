@@ -100,19 +100,52 @@ def test_ctrl_c_leaves_no_process_and_no_step_behind(begun: Begun) -> None:
     assert 0 < found.steps["accepted"] == found.produced < 20_000
 
 
+@pytest.mark.parametrize(
+    ("option", "reason"),
+    [
+        (["--lockstep"], "because a lockstep run repeats whole chunks"),
+        (["--algorithm.memory", "gru", "--algorithm.sequence-steps", "20"], "because networks with memory learn"),
+    ],
+    ids=["lockstep", "memory"],
+)
+def test_ctrl_c_names_and_counts_the_steps_that_nobody_can_take(begun: Begun, option: list[str], reason: str) -> None:
+    """Where chunks must be whole, the chunk in progress is lost: the command says so, and the audit counts it."""
+    slow = DOORS.replace("chunk_steps = 16", "chunk_steps = 5000").replace("= 64", "= 40000")
+    pause = ["--env.arguments", '{"pause": 0.02}', "--no-report"]
+    training = begun("train", "--env", SIMULATED, *pause, *option, toml=slow)
+    until(lambda: len(training.simulators()) == 4, "a simulator for each environment of the worker")
+    time.sleep(8.0)
+    training.process.send_signal(signal.SIGINT)
+    code, output = training.ended()
+    assert code == 0, output
+    assert reason in output
+    found = audit(training.run_dir)
+    assert found.clean
+    assert 0 < found.steps["lost"] == found.produced < 20_000
+
+
 def test_workers_that_crash_or_hang_are_replaced_and_leave_nothing(begun: Begun) -> None:
     """What a killed worker's environments had started is ended with it; a hanging call ends after the time limit."""
     for arguments, said in (
         ('{"crash": 40}', "rollout-0 ended with signal 9; restarting it"),
-        ('{"hang": 40}', "has been in step() for 4 s, longer than env.step_timeout 3"),
+        ('{"hang": 40}', "s, longer than env.step_timeout 3; this process ends."),
     ):
         training = begun("train", "--env", SIMULATED, "--env.arguments", arguments, "--env.step-timeout", "3")
         code, output = training.ended()
         assert code == 1, output
         assert said in output
+        assert ("took longer than env.step_timeout; workers were replaced." in output) == ("hang" in arguments)
         assert "all workers failed" in output
         assert training.simulators() == []
         (training.run_dir).rename(training.run_dir.with_name(f"run-{training.mark}"))
+
+
+def test_a_run_whose_workers_end_as_if_they_were_done_is_ended(begun: Begun) -> None:
+    """A library that exits with code 0 leaves a learner that trains with nobody; the command says so and fails."""
+    arguments = ["--env", "toy_faults:Exiting", "--env.arguments", '{"after": 40, "code": 0}']
+    code, output = begun("train", *arguments).ended()
+    assert code == 1, output
+    assert "all workers have ended with exit code 0, and the run is not finished" in output
 
 
 def test_an_evaluation_that_is_ended_closes_its_environments(begun: Begun) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Annotated
 
 import tyro
@@ -24,6 +25,7 @@ from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.service import serve
 from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
+from eia_sec.rollout.worker.outages import Outages
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def _environment(options: LearnerArguments, endpoint: Endpoint) -> EnvironmentSp
     """Return the run's environment; that of a run directory is known, and one that others serve is asked for."""
     config = options.settings
     if not config.env.served:
-        return environment_spec(config)
+        return environment_spec(config, patience=Outages(Event()))
     team = None if options.run_dir is None else RunDirectory(options.run_dir).team()
     if team is not None:
         return served_spec(config, team)

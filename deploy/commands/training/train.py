@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Annotated
 
 import tyro
@@ -31,6 +32,7 @@ from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
 from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
+from eia_sec.rollout.worker.outages import Outages
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -202,7 +204,7 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
     """Return the run's environment after a trial; a run that resumes knows the team of one that others serve."""
     config = options.settings
     if not config.env.served:
-        return environment_spec(config, trial=True)
+        return environment_spec(config, trial=True, patience=Outages(Event()))
     team = RunDirectory(options.run_dir).team() if options.resume and options.run_dir is not None else None
     if team is not None:
         return served_spec(config, team)
@@ -232,6 +234,9 @@ class _Training:
         finally:
             processes.stop()
             self._stop.uninstall()
+        if self._stop:
+            for line in processes.undelivered():
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         processes.raise_failure()
 
     def _watch(self, monitor: RunMonitor) -> None:
@@ -255,7 +260,7 @@ class _Training:
                 live.update(render(snapshot, self._console.height - 1), refresh=True)
 
     def _tick(self, monitor: RunMonitor) -> None:
-        self._processes.watch()
+        self._processes.watch(training=monitor.trains)
         monitor.update()
         self._stop.event.wait(REFRESH_SECONDS)
 

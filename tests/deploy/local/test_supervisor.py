@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from eia_sec.deploy.local import supervisor
+from eia_sec.deploy.local import memory_kills, supervisor
 from eia_sec.deploy.local.supervisor import Supervisor
 
 PAUSES = (0.05, 0.1, 0.15)
@@ -70,6 +70,49 @@ def test_a_killed_child_is_named_by_its_signal(children):
     child.process.wait()
     children.watch()
     assert "sleeper ended with signal 9" in children.alarms[0]
+    assert "the kernel or somebody else killed it; nothing shows that memory ran out" in children.alarms[0]
+
+
+@pytest.mark.parametrize(
+    ("version", "before", "said"),
+    [
+        (2, {"control group": 3}, "the kernel killed it, because the memory of its control group ran out"),
+        (1, {"control group": 3}, "the kernel killed it, because the memory of its control group ran out"),
+        (2, {"control group": 4, "host": 6}, "the kernel killed processes of this host while it ran, because memory"),
+        (2, {"control group": 4, "host": 7}, "nothing shows that memory ran out"),
+    ],
+)
+def test_a_child_that_the_kernel_killed_for_memory_is_told_from_others(tmp_path, monkeypatch, version, before, said):
+    """The kernel's own counters are the evidence, and the memory that there is follows."""
+    files = {
+        "proc/self/cgroup": "4:memory:/a/b\n0::/a/b\n",
+        "proc/vmstat": "oom_kill 7\n",
+        "proc/meminfo": "MemTotal: 8388608 kB\nMemAvailable: 4194304 kB\n",
+    }
+    if version == 2:
+        files |= {"cg/a/b/memory.events": "low 0\noom_kill 4\n", "cg/a/b/memory.max": "2147483648"}
+        files["cg/a/b/memory.current"] = "1073741824"
+    else:
+        files |= {"cg/memory/a/b/memory.oom_control": "under_oom 0\noom_kill 4\n"}
+        files |= {
+            f"cg/memory/a/b/memory.{name}_in_bytes": str(2**size) for name, size in (("limit", 31), ("usage", 30))
+        }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(memory_kills, "PROC", tmp_path / "proc")
+    monkeypatch.setattr(memory_kills, "GROUPS", tmp_path / "cg")
+    found = memory_kills.kill_sentence(before)
+    assert said in found
+    assert found.endswith("(the control group uses 1.0 of 2.0 GiB, 4.0 of the host's 8.0 GiB are available)")
+
+
+def test_a_child_that_code_of_others_ended_is_told_from_ours(children):
+    """No command of ours ends with another code than those of its page."""
+    child = children.start("stranger", ["alive", "learner", "learner", "--connect", "tcp/127.0.0.1:1"])
+    children._ended(child, 7)
+    assert f"stranger ended with exit code 7; restarting it: {supervisor.FOREIGN}" in children.alarms[0]
+    assert supervisor.FOREIGN in child.ending
 
 
 def test_of_a_long_log_only_the_end_is_read(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import warnings
 from contextlib import closing
@@ -101,6 +102,48 @@ def test_close_may_fail(capsys):
     batch.close()
     assert toy_env.Relay.opened == toy_env.Relay.closed == 3
     assert capsys.readouterr().err.count("close() raised ValueError: no such gear") == 3
+
+
+@pytest.mark.parametrize("after", [0, 1])
+def test_a_user_who_ends_the_process_past_everything_is_named(after):
+    """os._exit in the constructor or in a step becomes a sentence, and what was made is closed."""
+    import toy_env  # noqa: PLC0415  # only importable inside the fixture
+
+    method = r"step\(\)" if after else r"Leaving\(after=0\)"
+    with pytest.raises(
+        EnvironmentFaultError, match=rf"toy_faults:Leaving: {method} ended the program with exit code 7"
+    ):
+        tried("toy_faults:Leaving", after=after)
+    assert toy_env.Relay.closed == after
+
+
+@pytest.mark.parametrize(("thread", "code", "said"), [(True, 1, "toy_faults:Leaving: a thread of it"), (None, 5, "")])
+def test_a_thread_may_not_end_the_process_in_silence_and_a_fork_may(thread, code, said):
+    """A thread's end is said before the process ends with code 1; a forked child's is its own matter."""
+    program = (
+        "import os, sys\n"
+        "from eia_sec.rollout.envs import guard\n"
+        "import toy_faults\n"
+        "if {}:\n"
+        "    guard.Guard('toy_faults:Leaving', toy_faults.Leaving, dict(thread=True))\n"
+        "with guard.calling('a:b', 'step()'):\n"
+        "    child = os.fork()\n"
+        "    if not child:\n"
+        "        os._exit(5)\n"
+        "    sys.exit_code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])\n"
+        "raise SystemExit(sys.exit_code)\n"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-c", program.format(thread)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
+    assert done.returncode == code, done.stderr
+    assert said in done.stderr
 
 
 def test_environments_that_were_made_are_closed_when_a_later_one_fails(monkeypatch):

@@ -1,9 +1,11 @@
 """Environments that each do one thing that they should not; every one of them begins as a sound `Relay`."""
 
+import ctypes
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 
@@ -171,3 +173,61 @@ class Away(Relay):
         if self.made == 7:
             raise EnvironmentOutageError("the arm is in emergency stop")
         return super().step(actions)
+
+
+class AwayAt(Relay):
+    """Is away for the first two calls of the named method, over all its instances."""
+
+    missed = 0
+
+    def __init__(self, where):
+        self.where = where
+        super().__init__()
+        self.miss("construction")
+
+    def miss(self, method):
+        if method == self.where and AwayAt.missed < 2:
+            AwayAt.missed += 1
+            raise EnvironmentOutageError("no link to the arm")
+
+    def observation_space(self, agent):
+        self.miss("observation_space")
+        return super().observation_space(agent)
+
+    def reset(self, seed=None, options=None):
+        self.miss("reset")
+        return super().reset(seed)
+
+    def step(self, actions):
+        self.miss("step")
+        return super().step(actions)
+
+
+class Leaving(Relay):
+    """Ends the process past everything, at once or after some steps, from the main thread or another one."""
+
+    def __init__(self, after=0, code=7, thread=False):
+        super().__init__()
+        self.remaining, self.code, self.thread = after, code, thread
+        self.depart()
+
+    def depart(self):
+        self.remaining -= 1
+        if self.remaining < 0:
+            if self.thread:
+                threading.Thread(target=os._exit, args=[self.code]).start()
+                time.sleep(60)
+            os._exit(self.code)
+
+    def step(self, actions):
+        self.depart()
+        return super().step(actions)
+
+
+class Exiting(Leaving):
+    """The same by the C library, which tells nobody."""
+
+    def depart(self):
+        self.remaining -= 1
+        if self.remaining < 0:
+            ctypes.CDLL(None)._exit(self.code)

@@ -3,23 +3,27 @@
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import FarmConfig, RunConfig
+from eia_sec.common.config import FarmConfig, IppoConfig, RunConfig
 from eia_sec.common.config.farm import WorldConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.farm import farm_team
+from eia_sec.common.history.history import History, Start
 from eia_sec.common.loops import run
 from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.monitor.audit import audit
 from eia_sec.rollout.worker import service
 from eia_sec.rollout.worker.evaluation_service import EvaluationService
+from eia_sec.rollout.worker.sender import Sender
 from eia_sec.rollout.worker.service import Worker, WorkerOptions
 
 
@@ -28,7 +32,7 @@ class Recorded:
 
     def __init__(self, name: str, calls: list[str]) -> None:
         self._name, self._calls = name, calls
-        self.in_flight = 12
+        self.in_flight, self.left_behind = 12, 0
 
     def wait_empty(self, timeout, meanwhile):
         """Two turns of waiting in which nothing is delivered."""
@@ -94,8 +98,8 @@ def a_collecting_worker(monkeypatch, cuts):
     monkeypatch.setattr(service, "monotonic", lambda: clock.now)
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
-    worker._cuts_chunks = cuts
     worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
+    worker._whole = "" if cuts else "chunks are whole"
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
 
@@ -126,19 +130,57 @@ def test_a_worker_that_ends_delivers_the_chunk_in_progress(monkeypatch, event):
     assert "sender.offer" in calls
 
 
-def test_a_worker_whose_chunks_must_be_whole_leaves_one_that_takes_too_long(monkeypatch, capsys):
-    """It goes on for three seconds after the stop, so that two are left for deliveries, and says what it leaves."""
+def test_a_worker_whose_chunks_must_be_whole_leaves_one_that_takes_too_long(monkeypatch):
+    """It goes on for three seconds after the stop, so that two are left for deliveries, and leaves the chunk behind."""
     worker, steps, calls = a_collecting_worker(monkeypatch, cuts=False)
     worker.stops_at = 50
     worker._collect(None)
     assert len(steps) == 50 + 1 + 12
-    assert f"worker 3: {16 * len(steps)} steps of an unfinished chunk were left behind." in "".join(capsys.readouterr())
+    assert "sender.leave_behind" in calls
     assert "sender.offer" not in calls
     monkeypatch.setattr(service, "DRAIN_SECONDS", 60.0)
     steps.clear()
     worker._stop, worker._times.ending = False, 0.0
     worker._collect(None)
     assert "sender.offer" in calls
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "memory", "reason"),
+    [
+        (True, "none", ", 24 of them because a lockstep run repeats whole chunks"),
+        (False, "gru", ", 24 of them because networks with memory learn from chunks of equal length"),
+        (False, "none", None),
+    ],
+)
+def test_what_is_left_behind_is_said_with_its_reason(monkeypatch, capsys, lockstep, memory, reason):
+    """A run that takes short chunks has nothing to leave behind; each other one names its reason."""
+    worker, _ = an_ending_worker(monkeypatch, "training", True)
+    config = RunConfig() if memory == "none" else replace(RunConfig(), algorithm=IppoConfig(memory=memory))
+    worker._whole = service._why_whole(config, lockstep=lockstep)
+    assert bool(worker._whole) == (reason is not None)
+    worker.sender.left_behind = 24 if reason else 0
+    worker.sender.in_flight = 36
+    run(worker.run())
+    assert f"worker 3: 36 steps were not delivered{reason or ''}." in "".join(capsys.readouterr())
+
+
+def test_an_audit_counts_what_was_left_behind_as_lost(tmp_path):
+    """The worker's history names the chunk that it never offered, so that nothing ends in silence."""
+    learner = History(tmp_path / "history" / "learner.jsonl")
+    learner.add(Start("learner", "learner", 1))
+    history = History(tmp_path / "history" / "rollout-0.jsonl")
+    history.add(Start("rollout", "0", 1))
+    rules = SimpleNamespace(spool_chunks=1)
+    sender = Sender(SimpleNamespace(close=int), "r", "0", 1, None, rules, 1.0, history)
+    sender.flown = 24
+    sender.leave_behind(24)
+    assert (sender.in_flight, sender.left_behind, sender.spooled) == (24, 24, 0)
+    learner.close()
+    history.close()
+    found = audit(tmp_path)
+    assert found.clean, found.named()
+    assert (found.steps["lost"], found.lost_with["worker"]) == (24, 24)
 
 
 def answered(bus, evaluations, order):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,10 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from eia_sec.common.config.algorithms import EiaSecConfig
 from eia_sec.common.errors import CancelledError, EnvironmentOutageError
+from eia_sec.common.history.history import Timeout, read
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
 from eia_sec.rollout.envs import guard, watchdog
+from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.worker import outages
 from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.outages import Outages
@@ -74,6 +77,22 @@ def test_a_worker_that_ends_does_not_wait_for_an_environment():
         assert chunk.rows.steps == 7
         with pytest.raises(CancelledError):
             collector.collect(actors, 0.1, uniform=False)
+
+
+@pytest.mark.parametrize("where", ["construction", "observation_space", "reset", "step"])
+def test_the_trial_before_a_run_waits_for_an_environment(where, capsys):
+    """Wherever it is away, each try is said with its pause, and in the end the spaces are known."""
+    stop = Stop()
+    config = replace(CONFIG, env=EnvConfig("toy_faults:AwayAt", f'{{"where": "{where}"}}'))
+    sys.modules.pop("toy_faults", None)
+    spec = environment_spec(config, trial=True, patience=Outages(stop))
+    assert spec.team.agents == 3
+    said = capsys.readouterr().err
+    assert "the environment is away: no link to the arm; outage 1." in said
+    if where != "step":
+        assert stop.pauses == [1.0, 2.0]
+        assert "the environment is still away after 2 tries; next in 2 s." in said
+        assert "the environment is back." in said
 
 
 def test_pauses_grow_up_to_a_minute_and_the_alarm_counts():
@@ -137,3 +156,23 @@ def test_a_call_is_ended_with_its_process_and_what_that_has_started():
         )
         assert (done.returncode, "a:b has been in reset() for" in done.stderr) in {(1, True), (-15, True)}
         assert said in done.stderr
+
+
+def test_a_call_that_took_too_long_is_counted_before_the_process_ends(tmp_path):
+    """The history of the worker keeps it, so that the next start reports it."""
+    path = tmp_path / "rollout-0.jsonl"
+    program = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from eia_sec.common.history.history import History, Start, Timeout\n"
+        "from eia_sec.rollout.envs import guard, watchdog\n"
+        "watchdog.PERIOD_SECONDS = 0.05\n"
+        "history = History(Path(sys.argv[1]))\n"
+        "history.add(Start('rollout', '0', 1))\n"
+        "watchdog.Watchdog(0.1, lambda: None, timed_out=lambda: history.add(Timeout()))\n"
+        "with guard.calling('a:b', 'step()'):\n"
+        "    time.sleep(60)\n"
+    )
+    for times in (1, 2):
+        subprocess.run([sys.executable, "-c", program, str(path)], timeout=50, check=False, start_new_session=True)
+        assert sum(isinstance(record, Timeout) for record in read(path)[0]) == times
