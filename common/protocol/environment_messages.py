@@ -93,7 +93,7 @@ class ClaimAnswer(PlainMessage):
     """The answer to a claim; with another status than done, only status and reason count.
 
     Attributes:
-        status: done, taken or malformed.
+        status: done, taken, lost or malformed.
         reason: a sentence about any other status than done.
         incarnation: number of the environment's process; each start has a greater one.
         lease: number of the lease, greater than all before it in this incarnation.

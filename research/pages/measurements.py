@@ -20,6 +20,10 @@ NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
 """Milliseconds for which a checkpoint may stop the training at the default sizes."""
+SERVED_AIM: Final = 1000.0
+"""Steps a second that a served environment should make over loopback, at least."""
+EXTRA_AIM: Final = 0.05
+"""Share of extra time that it may take at 20 ms a step."""
 TAIL_EPISODES: Final = 40
 """Episodes at the end of a training curve whose mean is its final value."""
 
@@ -247,6 +251,35 @@ def checkpoint_block(data: dict[str, Any]) -> str:
     )
 
 
+def served_block(data: dict[str, Any]) -> str:
+    """Return the block on what it costs to step an environment over Zenoh."""
+    best = {name: max(rates) for name, rates in data["steps_per_second"].items()}
+    extra = best["here_slow"] / best["served_slow"] - 1.0
+    aims = ["met" if met else "not met" for met in (best["served"] >= SERVED_AIM, extra < EXTRA_AIM)]
+    slow, stretches = f"{1000 * data['period']:.0f} ms", len(data["steps_per_second"]["served"])
+    rows = [
+        ("no time", f"{best['here']:,.0f}", f"{best['served']:,.0f}"),
+        (f"no time, {data['copies']} copies", "-", f"{best['served_copies']:,.0f}"),
+        (slow, f"{best['here_slow']:.1f}", f"{best['served_slow']:.1f}"),
+    ]
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}: environment steps a second over loopback,",
+            f"through a listener; the best of {stretches} stretches of {data['seconds']:.0f} s,"
+            f" {data['cores']} cores at a load of {data['load']}",
+            "([results/served.json](../../research/results/served.json)).",
+            "",
+            "| a step takes | in the worker's process | served |",
+            "|---|---:|---:|",
+            *(f"| {' | '.join(row)} |" for row in rows),
+            "",
+            f"Targets: at least {SERVED_AIM:,.0f} steps a second, {aims[0]}; less than {100 * EXTRA_AIM:.0f} % of extra",
+            f"time at {slow} a step, {aims[1]}: {100 * extra:.1f} %.",
+            "",
+        ]
+    )
+
+
 MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "capacity": (capacity.SOURCES, capacity.block),
     "checkpoint": (("research/results/checkpoint.json",), checkpoint_block),
@@ -262,6 +295,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
         ("research/results/tasks/simple_spread/results.json", "research/results/tasks/half_cheetah/results.json"),
         tasks_block,
     ),
+    "served": (("research/results/served.json",), served_block),
     "watch": (("research/results/watch.json",), watch_block),
 }
 """For each block: the data that it shows, and the function that writes it."""

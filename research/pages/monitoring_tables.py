@@ -70,7 +70,7 @@ def metrics_tables() -> str:
 def snapshot_tables() -> str:
     """Return one table for each record in a line of `eia-sec monitor --json`."""
     kinds = (Snapshot, LedgerCounts, Imitation, ImitationRow, ProcessRow)
-    return "".join(_kind(kind, f"### {kind.__name__}") for kind in kinds)
+    return "".join(kind_table(kind, f"### {kind.__name__}") for kind in kinds)
 
 
 def attribute_docs(kind: type[Any]) -> dict[str, str]:
@@ -92,10 +92,11 @@ def _message(kind: type[Message]) -> str:
         if kind is Envelope
         else ", ".join(where)
     )
-    return _kind(kind, f"### {kind.__name__}, kind {kind.KIND}: {place}")
+    return kind_table(kind, f"### {kind.__name__}, kind {kind.KIND}: {place}")
 
 
-def _kind(kind: type[Any], title: str) -> str:
+def kind_table(kind: type[Any], title: str) -> str:
+    """Return a title, what a dataclass says of itself, and one row for each of its fields."""
     assert is_dataclass(kind)
     summary = (inspect.getdoc(kind) or "").split("\n\n", maxsplit=1)[0]
     hints, docs = get_type_hints(kind), attribute_docs(kind)
@@ -109,6 +110,8 @@ def _type(hint: Any) -> str:
     if get_origin(hint) is tuple:
         inner = list(dict.fromkeys(_type(part) for part in get_args(hint) if part is not Ellipsis))
         return f"list of {' and '.join(inner)}"
+    if get_origin(hint) is list:
+        return "list"
     if get_origin(hint) is dict:
         return "map"
     known = {bool: "boolean", int: "integer", float: "number", str: "text"}

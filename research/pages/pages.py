@@ -9,7 +9,14 @@ from typing import Final
 
 from eia_sec.deploy.cli import COMMANDS
 from eia_sec.deploy.reports.farm_plots import draw_densities
-from research.pages import environment_tables, monitoring_tables, reliability_table, reproduce_tables, security_tables
+from research.pages import (
+    environment_protocol_tables,
+    environment_tables,
+    monitoring_tables,
+    reliability_table,
+    reproduce_tables,
+    security_tables,
+)
 from research.pages.blocks import Block, replaced, table
 from research.pages.configuration_tables import configuration_tables
 from research.pages.measurements import measured
@@ -38,6 +45,7 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "docs/how-to/debug_training.md": _measured("checkpoint"),
     "docs/how-to/hosts.md": _measured("hosts"),
     "docs/how-to/own_environment.md": _measured("tasks"),
+    "docs/how-to/remote_environment.md": _measured("served"),
     "docs/how-to/vehicles.md": _measured("fly"),
     "docs/how-to/watch.md": _measured("watch"),
     "docs/reference/commands.md": {"commands": _declared(commands_table)},
@@ -51,6 +59,11 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
         "messages": _declared(monitoring_tables.messages_tables),
         "metrics": _declared(monitoring_tables.metrics_tables),
         "snapshot": _declared(monitoring_tables.snapshot_tables),
+    },
+    "docs/reference/remote_protocol.md": {
+        "statuses": _declared(environment_protocol_tables.statuses),
+        "messages": _declared(environment_protocol_tables.messages),
+        "spaces": _declared(environment_protocol_tables.spaces),
     },
     "docs/reference/security.md": {
         "access": _declared(security_tables.access_table),

@@ -1,6 +1,8 @@
 """Environments that others serve over Zenoh, as real processes: they come, crash, return and refuse strangers."""
 
 import json
+import re
+import shlex
 import signal
 import struct
 import subprocess
@@ -25,6 +27,7 @@ from eia_sec.rollout.remote.served import ServedEnvironments
 from tests.security.conftest import YEAR, Identity
 from tests.system.fleet import until
 
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "remote_environment.md"
 SECOND = Path(__file__).parents[1] / "rollout" / "remote" / "second_environment.py"
 SETTINGS = (
     *("--rollout.chunk-steps", "50", "--algorithm.iteration-steps", "200", "--algorithm.minibatch-steps", "50"),
@@ -37,9 +40,9 @@ Began = Callable[..., subprocess.Popen[str]]
 def began(tmp_path: Path, request: pytest.FixtureRequest) -> Began:
     """Start programs that are ended with the test; each has a log of its name."""
 
-    def begin(log: str, *words: str) -> subprocess.Popen[str]:
+    def begin(log: str, *words: str, folder: Path | None = None) -> subprocess.Popen[str]:
         with (tmp_path / log).open("a") as output:
-            process = subprocess.Popen([sys.executable, *words], stdout=output, stderr=output, text=True)
+            process = subprocess.Popen([sys.executable, *words], stdout=output, stderr=output, text=True, cwd=folder)
         request.addfinalizer(lambda: (process.kill(), process.wait(10)))
         return process
 
@@ -113,7 +116,7 @@ def test_a_run_resumes_and_is_evaluated_on_what_is_served_by_then(tmp_path: Path
     site = began("site-a", *toy("site-a", endpoint, "--pause", "0.002"))
     until(lambda: steps(run) >= 600, "training")
     training.send_signal(signal.SIGINT)
-    assert training.wait(30) == 0
+    assert training.wait(60) == 0
     site.kill()
     again = began("again", *train(run, endpoint, "--steps", "3000", "--resume"))
     until(lambda: "no environment called site-* is served" in _log(run), "the worker to look for an environment")
@@ -177,6 +180,35 @@ def test_a_name_is_served_once(tmp_path: Path, began: Began) -> None:
         second = began("second", *toy("site-a", endpoint))
         assert second.wait(40) != 0
         assert "another process serves an environment named site-a there" in (tmp_path / "second").read_text()
+
+
+def test_the_page_is_run_as_it_stands(tmp_path: Path, began: Began) -> None:
+    """Programs and commands of docs/how-to/remote_environment.md work, here on a free port and with few steps."""
+    text, endpoint = PAGE.read_text(encoding="utf-8"), free_endpoint()
+    programs = re.findall(r"```python\n(.*?)```", text, re.S)
+    site, fast = (program.replace("tcp/127.0.0.1:7447", str(endpoint)) for program in programs[:2])
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.S) for line in block.splitlines()]
+    train, resume, evaluate, copies = (
+        shlex.split(line)[1:] for line in lines if line.startswith("eia-sec") and "zenoh:" in line and "tls" not in line
+    )
+    assert [words[0] for words in (train, resume, evaluate, copies)] == ["train", "train", "evaluate", "train"]
+
+    def command(log: str, words: list[str], *more: str) -> subprocess.Popen[str]:
+        return began(log, "-m", "eia_sec.deploy.cli", *words, "--endpoint", str(endpoint), *more, folder=tmp_path)
+
+    for name, program in (("site.py", site), ("fast.py", fast)):
+        (tmp_path / name).write_text(program)
+    began("site", "site.py", folder=tmp_path)
+    training = command("train", train, "--steps", "4000", *SETTINGS)
+    until(lambda: steps(tmp_path / "runs/site") >= 400, "training")
+    training.send_signal(signal.SIGINT)
+    assert training.wait(60) == 0
+    assert command("resume", resume, "--steps", "4000", *SETTINGS).wait(200) == 0, (tmp_path / "resume").read_text()
+    assert command("evaluate", evaluate).wait(100) == 0, (tmp_path / "evaluate").read_text()
+    began("fast", "fast.py", folder=tmp_path)
+    copied = command("copies", copies, "--steps", "4000", "--algorithm.hidden", "16")
+    assert copied.wait(200) == 0, (tmp_path / "copies").read_text()
+    assert audit(tmp_path / "runs/fast").clean
 
 
 def test_strangers_serve_nothing(tmp_path: Path, began: Began) -> None:

@@ -21,8 +21,10 @@ LEASE_SECONDS = 5.0
 class Counter:
     """Counts each agent's ones, for ten steps."""
 
+    living = ()
+
     def begin(self, seed):
-        self.time, self.counts = 0, dict.fromkeys(AGENTS, 0)
+        self.time, self.counts, self.living = 0, dict.fromkeys(AGENTS, 0), AGENTS
         return {"observations": self.seen(), "infos": {}, "agents": AGENTS}
 
     def step(self, actions):
@@ -30,6 +32,7 @@ class Counter:
         for name, action in actions.items():
             self.counts[name] += action
         over = self.time == 10
+        self.living = () if over else AGENTS
         return {
             "observations": self.seen(),
             "rewards": {name: float(actions[name]) for name in AGENTS},
@@ -50,6 +53,13 @@ class Environment:
         self.counter, self.incarnation = Counter(), time.time_ns() // 1000
         self.lease, self.nonce, self.held, self.until = 0, None, False, 0.0
         self.newest, self.answer = 0, None
+
+    def handle(self, verb, payload):
+        try:
+            answer = getattr(self, verb)(msgpack.unpackb(payload))
+        except (KeyError, TypeError, ValueError, AttributeError, msgpack.UnpackException):
+            answer = {"status": "malformed", "reason": "it cannot be read."}
+        return msgpack.packb(answer)
 
     def claim(self, request):
         now = time.monotonic()
@@ -82,7 +92,12 @@ class Environment:
         if number != self.newest + 1:
             return {"status": "late" if number <= self.newest else "gap", "sequence": number}
         (order,) = request["copies"]
-        moved = self.counter.begin(order) if isinstance(order, int) else self.counter.step(order)
+        if isinstance(order, int) and order >= 0:
+            moved = self.counter.begin(order)
+        elif order.keys() == set(self.counter.living) and all(type(action) is int for action in order.values()):
+            moved = self.counter.step(order)
+        else:
+            raise ValueError(order)
         self.newest, self.until = number, time.monotonic() + LEASE_SECONDS
         self.answer = {"status": "done", "sequence": number, "copies": [moved]}
         return self.answer
@@ -115,8 +130,7 @@ def main(name, locator):
             query = requests.handler.recv()
             with query:
                 verb = str(query.key_expr).rpartition("/")[2]
-                answer = getattr(environment, verb)(msgpack.unpackb(query.payload.to_bytes()))
-                query.reply(query.key_expr, msgpack.packb(answer))
+                query.reply(query.key_expr, environment.handle(verb, query.payload.to_bytes()))
 
 
 if __name__ == "__main__":

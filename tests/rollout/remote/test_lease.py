@@ -1,6 +1,7 @@
 """A worker's lease and the environment's desk over a network that loses, repeats and reorders what it carries."""
 
 import random
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from eia_sec.rollout.remote.copies import Copies
 from eia_sec.rollout.remote.desk import LEASE_SECONDS, REPEATED, Desk
 from eia_sec.rollout.remote.lease import COUNTS, SILENT_SECONDS, Lease
 from eia_sec.rollout.remote.served import agents_of
+from tests.rollout.remote import second_environment
 from tests.rollout.remote.toy_served import Line
 
 
@@ -194,32 +196,56 @@ def test_an_expired_lease_that_nobody_claimed_goes_on() -> None:
     lease.release()
 
 
-def test_what_is_answered_to_repeats_and_to_strangers() -> None:
+@pytest.mark.parametrize(
+    "answered", [desk_of(Line()).answer, second_environment.Environment().handle], ids=["desk", "second"]
+)
+def test_what_is_answered_to_repeats_and_to_strangers(answered: Callable[[str, bytes], bytes]) -> None:
     """Repeated claims and steps get the first answer again; late, early, strange and unreadable ones are refused."""
-    desk = desk_of(Line())
-
-    def step(sequence: int, copies: Any, lease: int = 1, incarnation: int = 7) -> StepAnswer:
-        return StepAnswer.decode(desk.answer("step", StepRequest(incarnation, lease, sequence, copies).encode()))
-
     claim = ClaimRequest("run/0", 5).encode()
-    assert desk.answer("claim", claim) == desk.answer("claim", claim)
+    granted = ClaimAnswer.decode(answered("claim", claim))
+    left, right = granted.agents
+
+    def step(
+        sequence: int, copies: Any, lease: int = granted.lease, incarnation: int = granted.incarnation
+    ) -> StepAnswer:
+        return StepAnswer.decode(answered("step", StepRequest(incarnation, lease, sequence, copies).encode()))
+
+    def keep(verb: str, lease: int = granted.lease) -> str:
+        return LeaseAnswer.decode(answered(verb, LeaseRequest(granted.incarnation, lease).encode())).status
+
+    assert ClaimAnswer.decode(answered("claim", claim)) == granted
     first = step(1, [3])
     assert first.status == DONE
     assert step(1, [3]) == first
-    assert step(2, [{"left": 0, "right": 0}]).status == DONE
+    assert step(2, [{left: 0, right: 0}]).status == DONE
     assert step(1, [3]).status == LATE
     assert step(4, [3]).status == GAP
-    for strange in ([], [3, 3], [-1], ["x"], [{"left": 0}], [{"left": 0, "other": 0}], [{"left": 0, "right": "x"}]):
+    for strange in ([], [3, 3], [-1], ["x"], [{left: 0}], [{left: 0, "other": 0}], [{left: 0, right: "x"}]):
         assert step(3, strange).status == MALFORMED
-    assert step(3, [3], lease=2).status == LOST
-    assert step(3, [3], incarnation=6).status == LOST
-    assert ClaimAnswer.decode(desk.answer("claim", claim)).status == TAKEN
-    assert StepAnswer.decode(desk.answer("step", b"\xc1")).status == MALFORMED
-    assert LeaseAnswer.decode(desk.answer("unknown", LeaseRequest(7, 9).encode())).status == LOST
-    assert LeaseAnswer.decode(desk.answer("release", LeaseRequest(7, 1).encode())).status == DONE
-    assert step(3, [3]).status == LOST
-    assert desk.counts == {REPEATED: 2, LATE: 1, GAP: 1, MALFORMED: 8, LOST: 4, TAKEN: 1}
+    assert step(3, [3], lease=granted.lease + 1).status == LOST
+    assert step(3, [3], before=1).status == LOST
+    assert ClaimAnswer.decode(answered("claim", claim)).status == TAKEN
+    assert StepAnswer.decode(answered("step", b"\xc1")).status == MALFORMED
+    assert [keep("renew"), keep("renew", granted.lease + 1)] == [DONE, LOST]
+    assert step(3, [{left: 1, right: 0}]).status == DONE
+    assert [keep("release"), keep("release")] == [DONE, LOST]
+    assert step(4, [3]).status == LOST
+    assert ClaimAnswer.decode(answered("claim", claim)).status == LOST
+    assert ClaimAnswer.decode(answered("claim", ClaimRequest("run/1", 6).encode())).lease == granted.lease + 1
     assert step(1, [3]).status == LOST
+
+
+def test_every_refusal_is_counted() -> None:
+    """The desk counts what it did not carry out, by what it answered, and what it answered again."""
+    desk = desk_of(Line())
+    for _ in range(2):
+        desk.answer("claim", ClaimRequest("run/0", 5).encode())
+    for sequence, copies in ((1, [3]), (1, [3]), (0, [3]), (9, [3]), (2, ["x"])):
+        desk.answer("step", StepRequest(7, 1, sequence, copies).encode())
+    for message in (ClaimRequest("run/1", 6), ClaimRequest("run/2", 7)):
+        desk.answer("claim", message.encode())
+    desk.answer("renew", LeaseRequest(7, 3).encode())
+    assert desk.counts == {REPEATED: 2, LATE: 1, GAP: 1, MALFORMED: 1, TAKEN: 2, LOST: 1}
 
 
 def test_an_outage_that_the_environment_declares_keeps_the_lease() -> None:
