@@ -273,8 +273,8 @@ def served_block(data: dict[str, Any]) -> str:
             "|---|---:|---:|",
             *(f"| {' | '.join(row)} |" for row in rows),
             "",
-            f"Targets: at least {SERVED_AIM:,.0f} steps a second, {aims[0]}; less than {100 * EXTRA_AIM:.0f} % of extra",
-            f"time at {slow} a step, {aims[1]}: {100 * extra:.1f} %.",
+            f"Targets: at least {SERVED_AIM:,.0f} steps a second, {aims[0]}; less than {100 * EXTRA_AIM:.0f} % of",
+            f"extra time at {slow} a step, {aims[1]}: {100 * extra:.1f} %.",
             "",
         ]
     )

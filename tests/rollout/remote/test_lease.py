@@ -205,10 +205,9 @@ def test_what_is_answered_to_repeats_and_to_strangers(answered: Callable[[str, b
     granted = ClaimAnswer.decode(answered("claim", claim))
     left, right = granted.agents
 
-    def step(
-        sequence: int, copies: Any, lease: int = granted.lease, incarnation: int = granted.incarnation
-    ) -> StepAnswer:
-        return StepAnswer.decode(answered("step", StepRequest(incarnation, lease, sequence, copies).encode()))
+    def step(sequence: int, copies: Any, lease: int = granted.lease, before: int = 0) -> StepAnswer:
+        request = StepRequest(granted.incarnation - before, lease, sequence, copies)
+        return StepAnswer.decode(answered("step", request.encode()))
 
     def keep(verb: str, lease: int = granted.lease) -> str:
         return LeaseAnswer.decode(answered(verb, LeaseRequest(granted.incarnation, lease).encode())).status
