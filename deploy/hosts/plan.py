@@ -50,6 +50,7 @@ class Places:
         config: file with the learner's configuration.
         endpoint: where other processes reach the listener.
         listen: where the listener listens.
+        begins: whether the learner may begin the run where its folder holds none; else it refuses to start there.
     """
 
     run_dir: str
@@ -57,6 +58,7 @@ class Places:
     config: str
     endpoint: str
     listen: str
+    begins: bool = True
 
 
 def here(fleet: FleetSpec) -> Places:
@@ -104,7 +106,8 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
     else:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
     trained = ("--config", places.config)
-    kept = ("--run-dir", places.run_dir, *trained, "--resume-if-any", "--await-elite")
+    resumed = "--resume-if-any" if places.begins else "--resume"
+    kept = ("--run-dir", places.run_dir, *trained, resumed, "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
     arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)

@@ -10,7 +10,7 @@ from eia_sec.deploy.hosts.compose import compose
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
 from eia_sec.deploy.hosts.kubernetes import kubernetes
 from eia_sec.deploy.hosts.plan import ORDER
-from eia_sec.deploy.hosts.systemd import units
+from eia_sec.deploy.hosts.systemd import learner_units, units
 from eia_sec.deploy.local import contained_files
 from eia_sec.deploy.local.run_directory import HISTORY
 
@@ -25,9 +25,9 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
         ConfigError: the form cannot express the fleet, or the folder cannot be written.
         CredentialsError: a certificate is missing or cannot be used.
     """
-    files = FORMS[form](fleet)
     written = []
     try:
+        files = FORMS[form](fleet, folder)
         for name, data in sorted(files.items()):
             written.append(contained_files.write(folder, name, data, 0o644 if name.endswith(_OPEN) else 0o600))
         if form == "compose":
@@ -50,22 +50,40 @@ def left_over(fleet: FleetSpec, form: str, folder: Path, written: Sequence[Path]
     return sorted(path for path in found if path not in kept)
 
 
-def _compose(fleet: FleetSpec) -> dict[str, bytes]:
+def keeping(fleet: FleetSpec, form: str, folder: Path) -> str:
+    """Return what must be done so that a run goes on elsewhere, and does not begin anew; call this before `render`."""
+    if form != "systemd":
+        where = "its volume claim" if form == "kubernetes" else str(folder / "run")
+        return f"the learner keeps run {fleet.run} in {where}; elsewhere it begins anew, unless you copy that."
+    place, target = f"/var/lib/eia-sec/{fleet.run}/run", fleet.learner.host
+    former = [path.parent.name for path in learner_units(fleet, folder) if path.parent.name != target]
+    if former:
+        return (
+            f"the learner moves from {former[0]} to {target}: stop the fleet, copy {place} there, and delete the unit "
+            f"on {former[0]}; until then the learner on {target} refuses to start."
+        )
+    return f"the learner keeps run {fleet.run} in {place} on {target}."
+
+
+def _compose(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:
     """Return Compose's files, and .env with the user who may read them."""
     project = f"eia-sec-{fleet.run.lower().replace('.', '-')}"
     settings = f"COMPOSE_PROJECT_NAME={project}\nEIA_SEC_UID={os.getuid()}\nEIA_SEC_GID={os.getgid()}\n"
     return compose(fleet) | {".env": settings.encode()}
 
 
-def _systemd(fleet: FleetSpec) -> dict[str, bytes]:
-    return {name: text.encode() for name, text in units(fleet).items()}
+def _systemd(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:
+    """Return the units; a learner that was rendered for another host before goes on and never begins."""
+    known = learner_units(fleet, folder)
+    moved = any(path.parent.name != fleet.learner.host or " --resume " in path.read_text() for path in known)
+    return {name: text.encode() for name, text in units(fleet, begins=not moved).items()}
 
 
-def _kubernetes(fleet: FleetSpec) -> dict[str, bytes]:
+def _kubernetes(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:
     return {name: text.encode() for name, text in kubernetes(fleet).items()}
 
 
-FORMS: Final[dict[str, Callable[[FleetSpec], dict[str, bytes]]]] = {
+FORMS: Final[dict[str, Callable[[FleetSpec, Path], dict[str, bytes]]]] = {
     "systemd": _systemd,
     "compose": _compose,
     "kubernetes": _kubernetes,

@@ -1,6 +1,6 @@
 """systemd units for a fleet: a folder per host, a unit per process, and a target for all of them."""
 
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 from eia_sec.common.config.files import to_toml
@@ -56,15 +56,19 @@ WantedBy=multi-user.target
 """
 
 
-def units(fleet: FleetSpec) -> dict[str, str]:
+def units(fleet: FleetSpec, *, begins: bool = True) -> dict[str, str]:
     """Return every file by its path, HOST/NAME.
+
+    Args:
+        fleet: the fleet.
+        begins: whether the learner may begin the run; else it refuses to start before the run was copied to its host.
 
     Raises:
         ConfigError: a host's command is neither an absolute path nor a bare name.
     """
     folder, settings = f"/var/lib/eia-sec/{fleet.run}", f"/etc/eia-sec/{fleet.run}"
     keys, config = f"{settings}/keys/{{identity}}", f"{settings}/config.toml"
-    places = Places(f"{folder}/run", keys, config, fleet.network.endpoint, fleet.network.listen)
+    places = Places(f"{folder}/run", keys, config, fleet.network.endpoint, fleet.network.listen, begins)
     planned = processes(fleet, places)
     files: dict[str, str] = {}
     for process in planned:
@@ -74,6 +78,11 @@ def units(fleet: FleetSpec) -> dict[str, str]:
         if process.role == "learner":
             files[f"{process.host}/config.toml"] = to_toml(fleet.config)
     return files
+
+
+def learner_units(fleet: FleetSpec, folder: Path) -> list[Path]:
+    """Return the learner's units, of any host, in a folder that was rendered before."""
+    return sorted(folder.glob(f"*/eia-sec-{fleet.run}-learner.learner.service"))
 
 
 def unit_name(fleet: FleetSpec, process: Process) -> str:

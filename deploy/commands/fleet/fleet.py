@@ -16,7 +16,7 @@ from eia_sec.deploy.hosts import operations
 from eia_sec.deploy.hosts.fleet_file import read
 from eia_sec.deploy.hosts.history_collection import collect
 from eia_sec.deploy.hosts.plan import here, processes
-from eia_sec.deploy.hosts.render import left_over, render
+from eia_sec.deploy.hosts.render import keeping, left_over, render
 from eia_sec.deploy.options import parse
 
 File = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")]
@@ -101,11 +101,13 @@ def command(arguments: Sequence[str]) -> int:
         console.print(f"written to {fleet.keys}: {names}")
         return DONE
     if isinstance(task, RenderArguments):
+        kept = keeping(fleet, task.form, task.out)
         written = render(fleet, task.form, task.out)
         for path in written:
             console.print(f"written: {path}")
         for path in left_over(fleet, task.form, task.out, written):
             console.print(f"no longer in the fleet; delete it: {printable(str(path))}")
+        console.print(printable(kept))
         return DONE
     if isinstance(task, MoveLearnerArguments):
         within(0.0, 86_400.0, wait=task.wait)

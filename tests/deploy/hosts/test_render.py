@@ -17,7 +17,7 @@ import yaml
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import from_toml
-from eia_sec.common.errors import ConfigError
+from eia_sec.common.errors import ConfigError, RunDirError
 from eia_sec.common.transport import credentials
 from eia_sec.deploy.commands.fleet.fleet import command as fleet_command
 from eia_sec.deploy.commands.training import elite, learner, rollout, router
@@ -26,6 +26,7 @@ from eia_sec.deploy.hosts.containers import as_yaml
 from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
 from eia_sec.deploy.hosts.render import render
 from eia_sec.deploy.hosts.systemd import _word
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.options import parse
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -330,6 +331,32 @@ def test_containers_without_certificates_need_a_word(tmp_path):
     for form in ("compose", "kubernetes"):
         with pytest.raises(ConfigError, match="insecure = true"):
             render(read(tmp_path / "fleet.toml"), form, tmp_path / "out")
+
+
+@pytest.mark.parametrize("form", ["systemd", "compose", "kubernetes"])
+def test_a_learner_that_moves_begins_nothing_anew(fleet, tmp_path, form, capsys):
+    """A unit for another host only resumes, also when it is rendered again; each form says where the run is."""
+    out = tmp_path / "out"
+    command = ["render", form, str(fleet.path), "--out", str(out)]
+    assert fleet_command(command) == 0
+    assert "the learner keeps run field_1 in" in capsys.readouterr().out
+    if form != "systemd":
+        return
+    unit = "eia-sec-field_1-learner.learner.service"
+    assert " --resume-if-any " in (out / "farm-1" / unit).read_text()
+    text = fleet.path.read_text()
+    fleet.path.write_text(re.sub(r'(\[learner\]\s+host = )"farm-1"', r'\1"farm-2"', text))
+    assert fleet_command(command) == 0
+    said = capsys.readouterr().out
+    assert "the learner moves from farm-1 to farm-2: stop the fleet, copy /var/lib/eia-sec/field_1/run there" in said
+    (out / "farm-1" / unit).unlink()
+    assert fleet_command(command) == 0
+    (line,) = re.findall(r"^ExecStart=(.*)$", (out / "farm-2" / unit).read_text(), re.MULTILINE)
+    assert " --resume " in line
+    assert "--resume-if-any" not in line
+    assert understood(line.split()[1:]) == "learner"
+    with pytest.raises(RunDirError, match="holds no run to resume"):
+        RunDirectory(tmp_path / "empty").prepare(RunConfig(), resume=True)
 
 
 @pytest.mark.parametrize("form", ["systemd", "compose"])
