@@ -18,7 +18,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
 from eia_sec.deploy.local.run_directory import METRICS
 from eia_sec.deploy.local.supervisor import Supervisor
-from research.benchmarks.peers.catalogue import ROOT
+from research.benchmarks.peers.catalogue import SOURCES
 
 RUN: Final = "distribution"
 JOIN_SECONDS: Final = 300.0
@@ -48,7 +48,7 @@ class Processes:
         self._file, self.metrics = folder / "config.toml", folder / "run" / METRICS
         self._file.write_text(to_toml(config), encoding="utf-8")
         # The environment's module lies in the source, not in the installed packages.
-        paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        paths = [SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._supervisor = Supervisor(folder / "logs", {"PYTHONPATH": os.pathsep.join(paths)})
         self.endpoint = free_endpoint()
         self.started = time.monotonic()

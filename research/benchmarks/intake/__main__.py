@@ -33,7 +33,7 @@ from eia_sec.deploy.reports.provenance import provenance
 from research.benchmarks.intake.page import RAY_NAME, SIZES, SWEPT, TORCHRL_NAME, ZMQ_NAME, Result, Table, page
 from research.benchmarks.intake.player import in_flight
 from research.benchmarks.intake.record import record, write
-from research.benchmarks.peers.catalogue import ROOT, Program
+from research.benchmarks.peers.catalogue import ROOT, SOURCES, Program
 from research.benchmarks.peers.venvs import interpreter, provide
 
 WORKERS: Final = 8
@@ -70,7 +70,7 @@ class Bench:
         return "--workers", str(workers), "--chunks", str(self.under_way[label])
 
     def _start(self, python: str, *arguments: str) -> "subprocess.Popen[str]":
-        environment = {**os.environ, **thread_environment(1), "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, **thread_environment(1), "PYTHONPATH": SOURCES}
         return subprocess.Popen(
             [python, "-m", *arguments],
             cwd=ROOT,

@@ -1,11 +1,14 @@
 """The programs that are compared, and how each is run."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 FOLDER: Final = Path(__file__).resolve().parent
 ROOT: Final = FOLDER.parents[2]
+SOURCES: Final = os.pathsep.join((str(ROOT / "src"), str(ROOT)))
+"""What children find `eia_sec` and `research` by: this checkout, whatever is installed."""
 OURS: Final = "ours"
 """Name of the environment that the driver itself runs in."""
 

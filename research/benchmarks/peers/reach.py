@@ -41,7 +41,7 @@ from eia_sec.deploy.local.threads import allowed_cores, thread_environment
 from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.policies import ActorPolicy, policy_of
-from research.benchmarks.peers.catalogue import ROOT, Program
+from research.benchmarks.peers.catalogue import ROOT, SOURCES, Program
 from research.benchmarks.peers.flights import Point, reward_of
 from research.benchmarks.peers.report import table
 from research.benchmarks.peers.venvs import interpreter, provide
@@ -132,7 +132,7 @@ def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[flo
 def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace) -> Line:
     """Train with a peer in its own environment; raise EiaSecError if it fails."""
     config = PRESETS[PRESET]
-    environment = os.environ | thread_environment(1) | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | thread_environment(1) | {"PYTHONPATH": SOURCES}
     words = {
         "algorithm": program.algorithm,
         **{"seed": seed, "limit": asked.limit, "every": asked.every, "reward": bar, "threads": allowed_cores()},

@@ -12,7 +12,7 @@ from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import EiaSecError
 from eia_sec.common.farm import farm_team
 from eia_sec.deploy.local.threads import thread_environment
-from research.benchmarks.peers.catalogue import OURS, ROOT, Program
+from research.benchmarks.peers.catalogue import OURS, ROOT, SOURCES, Program
 from research.benchmarks.peers.venvs import interpreter
 
 LIMIT = 1800.0
@@ -114,7 +114,7 @@ def run(job: Job, plan: Plan, venvs: Path) -> tuple[list[Line], dict[str, str]]:
     if job.program.environment != OURS:
         environment["OPENBLAS_NUM_THREADS"] = str(job.threads)
     if job.program.environment == OURS:
-        environment["PYTHONPATH"] = str(ROOT)
+        environment["PYTHONPATH"] = SOURCES
     command = [str(interpreter(job.program, venvs)), *arguments(job, plan)]
     sys.stderr.write(f"{job.program.subject}: {job.program.name}, threads {job.threads}, processes {job.processes}\n")
     try:

@@ -281,4 +281,4 @@ def test_processes_find_what_this_process_finds(inherited, tmp_path, monkeypatch
     monkeypatch.setenv("PYTHONPATH", inherited)
     processes = Processes(RunConfig(), 1, tmp_path, routed=False)
     path = processes._supervisor._environment["PYTHONPATH"].split(os.pathsep)
-    assert path == [str(ROOT), *filter(None, [inherited])]
+    assert path == [str(ROOT / "src"), str(ROOT), *filter(None, [inherited])]

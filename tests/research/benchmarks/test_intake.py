@@ -1,6 +1,7 @@
 """The intake benchmark: what it counts, and that our own path really takes chunks in."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from research.benchmarks.intake import __main__ as driver
 from research.benchmarks.intake.chunks import CAPACITY, NAMES, Ring, Window, read, steps_in_rows
 from research.benchmarks.intake.page import SIZES, page
 from research.benchmarks.intake.record import record, write
+from research.benchmarks.peers.catalogue import ROOT
 
 
 @pytest.mark.parametrize("size", SIZES.values())
@@ -84,3 +86,11 @@ def test_an_impossible_number_of_workers_is_refused(words, monkeypatch, capsys):
         driver.main()
     assert ended.value.code == 2
     assert "--workers" in capsys.readouterr().err
+
+
+def test_children_import_this_checkout(tmp_path, monkeypatch):
+    """Whatever is installed, a child finds the sources of its parent's checkout first."""
+    monkeypatch.setattr(driver, "SIZES", {})
+    bench = driver.Bench(0.1, tmp_path, tmp_path, spool=1)
+    searched, _ = bench._start(sys.executable, "site").communicate(timeout=60)
+    assert 0 < searched.index(f"'{ROOT / 'src'}'") < searched.index("site-packages")
