@@ -4,7 +4,7 @@ Everything about event number e follows from e and the configuration, so a resta
 learner's count of applied events.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from eia_sec.common.config import EliteConfig, RunConfig
@@ -24,15 +24,21 @@ class ImitationSchedule:
     Attributes:
         config: the settings.
         enabled: whether agents imitate elites at all.
+        since: episodes that were finished when agents got actors of their own; None while they share their type's.
     """
 
     config: EliteConfig
     enabled: bool = True
+    since: int | None = 0
 
     @classmethod
     def of(cls, config: RunConfig) -> "ImitationSchedule":
         """Return a run's schedule; in an algorithm without imitation no event is ever due."""
         return cls(config.elite, config.imitates)
+
+    def after(self, since: int | None) -> "ImitationSchedule":
+        """Return the schedule that begins when agents get actors of their own; see `since`."""
+        return replace(self, since=since)
 
     def rate(self, event: int) -> float:
         """Return vartheta of event number `event` (1 is the first)."""
@@ -44,9 +50,9 @@ class ImitationSchedule:
 
     def due_episode(self, event: int) -> int | None:
         """Return the episode lambda at which event number `event` falls due, or None when it never does."""
-        if not (self.enabled and self.config.enabled):
+        if not (self.enabled and self.config.enabled) or self.since is None:
             return None
-        episode = 0
+        episode = self.since
         for number in range(1, event + 1):
             cycle = self.cycle(number)
             episode = (episode // cycle + 1) * cycle

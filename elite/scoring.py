@@ -1,58 +1,65 @@
 """Scores each agent by the mean and variance of its rewards (omega), and picks each type's elite."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config import EliteConfig
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
-from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.reward_sums import RewardSums
+from eia_sec.common.team import TeamSpec
 
 
-def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
-    """Return omega of each agent of one type, eq. (er).
+def scores(team: TeamSpec, rewards: RewardSums, config: EliteConfig) -> list[NDArray[np.float64]]:
+    """Return omega of each agent, eq. (er).
 
     mu is the mean of the agent's step rewards R_v-i. For the variance sigma^2, step rewards are divided by the type's
     mean absolute step reward, so that beta_2 means the same for every type and throughout training.
 
     Args:
-        reward: [..., n_v] step rewards of noise-free episodes.
+        team: the layout.
+        rewards: of one step or more.
         config: beta_1 and beta_2.
 
     Returns:
-        [n_v] beta_1 mu + beta_2 sigma^2.
+        For each type, [n_v] beta_1 mu + beta_2 sigma^2.
     """
-    steps = reward.astype(np.float64).reshape(-1, reward.shape[-1])
-    scale = float(np.abs(steps).mean())
-    variance = (steps / scale).var(axis=0) if scale > 0 else np.zeros(steps.shape[1])
-    return np.asarray(config.weight_mean * steps.mean(axis=0) + config.weight_variance * variance)
+    mean, absolute, square = rewards.sums / rewards.steps
+    variance = np.maximum(square - mean**2, 0.0)
+    found = []
+    for part in team.agent_slices():
+        scale = float(absolute[part].mean())
+        spread = variance[part] / scale**2 if scale > 0.0 else np.zeros_like(variance[part])
+        found.append(config.weight_mean * mean[part] + config.weight_variance * spread)
+    return found
 
 
 def decide(
-    team: TeamSpec, config: EliteConfig, event: int, version: int, episode: int, rewards: Sequence[Float32]
+    team: TeamSpec,
+    config: EliteConfig,
+    event: int,
+    version: int,
+    episode: int,
+    rewards: RewardSums,
+    evaluation_steps: int = 0,
 ) -> ImitationEvent:
-    """Return the imitation event that follows from an evaluation.
+    """Return the imitation event that follows from agents' rewards.
 
     Args:
         team: the layout.
         config: weights and schedule.
         event: number of the event.
-        version: the parameter version that was evaluated.
+        version: the parameter version that earned them.
         episode: the learner's episode count when the event fell due.
-        rewards: [T, agents] step rewards of each episode.
+        rewards: of training or of evaluation episodes.
+        evaluation_steps: environment steps of these evaluation episodes.
 
     Raises:
-        SchemaError: when the rewards do not fit the team or are not finite.
+        SchemaError: there are no steps.
     """
-    for reward in rewards:
-        if reward.ndim != 2 or reward.shape[1] != team.agents or len(reward) == 0 or not np.isfinite(reward).all():
-            raise SchemaError(f"an episode of shape {list(reward.shape)} does not fit {team.agents} agents.")
-    if len(rewards) == 0:
-        raise SchemaError("an evaluation needs at least one episode.")
-    steps = np.concatenate(rewards)
-    omegas = [scores(steps[:, part], config) for part in team.agent_slices()]
+    if not rewards.steps:
+        raise SchemaError("scores need at least one step.")
+    omegas = scores(team, rewards, config)
     return ImitationEvent(
         event=event,
         version=version,
@@ -60,5 +67,5 @@ def decide(
         rate=ImitationSchedule(config).rate(event),
         elites=tuple(int(np.argmax(omega)) for omega in omegas),
         scores=tuple(tuple(omega.tolist()) for omega in omegas),
-        evaluation_steps=len(steps),
+        evaluation_steps=evaluation_steps,
     )

@@ -25,11 +25,12 @@ from eia_sec.common.protocol.messages import (
     ProgressMessage,
     ReceiptMessage,
 )
+from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.elite.evaluation_plan import evaluation_plan
-from eia_sec.elite.scoring import decide
+from eia_sec.elite.scoring import decide, scores
 
 ANSWER_SECONDS = 30.0
 """Initial time limit for a worker's evaluation; after it, the worker's farms go to other workers."""
@@ -94,6 +95,7 @@ class Coordinator:
         self._claiming: Running[bytes | None] | None = None
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
+        self._rewards = RewardSums.none(team.agents)
         self._fence = EpochFence()
         self._last: ImitationEvent | None = None
         self._failures = self._malformed = 0
@@ -107,8 +109,9 @@ class Coordinator:
             now = self._now
             if now is not None and now.state == "finished":
                 break
-            due = now is not None and now.state == "training" and self._schedule.is_due(now.events, now.episodes)
-            if now is not None and due and self._leads:
+            if now is None or now.state != "training" or not self._leads:
+                continue
+            if self._schedule.after(now.separate_since).is_due(now.events, now.episodes):
                 yield from self._hold_event(now, stop)
         log(f"coordinator {self._options.name} ends.")
         self._report()
@@ -157,21 +160,26 @@ class Coordinator:
         if (sample_now := self._progress.poll()) is not None:
             try:
                 message = ProgressMessage.decode(sample_now.payload)
+                rewards = RewardSums.checked(message.reward_steps, message.reward_sums, self._team.agents)
             except ProtocolError as error:
                 self._malformed += 1
                 log(f"coordinator: dropped a message: {error}")
                 return
             if self._fence.admits(message.epoch, 0 if self._now is None else self._now.epoch):
-                self._now = message
+                self._now, self._rewards = message, rewards
 
     def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> Loop[None]:
         number = now.events + 1
-        due = self._schedule.due_episode(number)
-        found = yield from self._evaluate(number, now, stop)
-        if found is None or due is None:
+        due = self._schedule.after(now.separate_since).due_episode(number)
+        rewards, version, flown = self._rewards, now.version, 0
+        if self._config.elite.farms:
+            found = yield from self._evaluate(number, now, stop)
+            if found is None:
+                return
+            rewards, version, flown = found
+        if due is None or not rewards.steps:
             return
-        rewards, version = found
-        event = decide(self._team, self._config.elite, number, version, due, rewards)
+        event = decide(self._team, self._config.elite, number, version, due, rewards, flown)
         message = ImitationMessage.of(event, now.epoch)
         if (yield from self._deliver(message, stop)):
             self._announcer.put(message.encode())
@@ -212,8 +220,8 @@ class Coordinator:
             log(f"coordinator: the learner refused event {message.event}: {receipt.reason}")
         return receipt is not None and receipt.done and not receipt.reason
 
-    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> Loop[tuple[list[Float32], int] | None]:
-        """Return each episode's step rewards in plan order and the oldest version evaluated, or None if abandoned."""
+    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> Loop[tuple[RewardSums, int, int] | None]:
+        """Return the rewards of noise-free episodes, the oldest version evaluated and the steps; None if abandoned."""
         farms, episodes = evaluation_plan(self._config, event)
         found: dict[int, Float32] = {}
         versions: list[int] = []
@@ -238,7 +246,8 @@ class Coordinator:
                 yield from self._note_late(event, late, silent, len(orders), waited)
             elif not late:
                 self._patience = min(self._patience, max(ANSWER_SECONDS, 2.0 * waited))
-        return [found[index] for index in range(len(farms))], min(versions)
+        steps = np.concatenate([found[index] for index in range(len(farms))])
+        return RewardSums.of(steps, len(steps)), min(versions), len(steps)
 
     def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> Loop[None]:
         """Exclude workers that did not answer from the next attempts; if nobody answered, lengthen the time limit."""
@@ -286,20 +295,27 @@ class Coordinator:
 
     def _report(self) -> None:
         self._reported = monotonic()
-        last = self._last
+        names = [group.name for group in self._team.groups]
+        found = scores(self._team, self._rewards, self._config.elite) if self._rewards.steps else []
         values = {
             "workers": sorted(self._workers),
             "events": 0 if self._now is None else self._now.events,
-            "next_episode": self._schedule.due_episode((0 if self._now is None else self._now.events) + 1) or 0,
+            "next_episode": self._next_episode(),
             "failures": self._failures,
             "malformed": self._malformed,
             "leads": self._leads,
-            "rate": last.rate if last else 0.0,
-            "elites": dict(zip([g.name for g in self._team.groups], last.elites, strict=True)) if last else {},
-            "scores": [list(s) for s in last.scores] if last else [],
+            "shared": self._config.imitates and self._now is not None and self._now.separate_since is None,
+            "rate": self._last.rate if self._last else 0.0,
+            "elites": {name: int(np.argmax(omega)) for name, omega in zip(names, found, strict=False)},
+            "scores": {name: omega.tolist() for name, omega in zip(names, found, strict=False)},
             "alarms": [self._fence.alarm] if self._fence.alarm else [],
         }
         self._presence.report(values, 0 if self._now is None else self._now.version)
+
+    def _next_episode(self) -> int:
+        """Return the episode at which the next event falls due; 0 where none does, or while agents share actors."""
+        now = self._now
+        return 0 if now is None else self._schedule.after(now.separate_since).due_episode(now.events + 1) or 0
 
 
 def _fits(result: EvaluationResult, episodes: int, team: TeamSpec) -> bool:

@@ -21,12 +21,19 @@ from torch import Tensor
 
 from eia_sec.common.actors import TeamActors, imitate
 from eia_sec.common.config import RunConfig
-from eia_sec.common.errors import SchemaError
+from eia_sec.common.errors import CheckpointError, SchemaError
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
 from eia_sec.learner.checkpoint.tensor_snapshot import Frozen, whole
-from eia_sec.learner.checkpoint.trainer_state import counter, episode_record, episode_summaries
+from eia_sec.learner.checkpoint.trainer_state import (
+    counter,
+    episode_record,
+    episode_summaries,
+    restored_rewards,
+    rewards_record,
+)
 from eia_sec.learner.networks.device import usable_device
 
 COUNTERS: Final = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
@@ -52,6 +59,8 @@ class Trainer(ABC):
         version: number of the newest published parameters; 0 before the first.
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
+        separate_since: episodes that were finished when agents got actors of their own; None while they share them.
+        rewards: of each agent in training, since agents got actors of their own.
         recent: the newest finished episodes.
     """
 
@@ -63,6 +72,8 @@ class Trainer(ABC):
         usable_device(config.learner.device)
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
         self.evaluation_steps = 0
+        self.separate_since: int | None = 0
+        self.rewards = RewardSums.none(team.agents)
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
 
     def absorb(self, chunk: Chunk, version: int = 0, source: str = "", number: int = 0) -> None:
@@ -75,6 +86,7 @@ class Trainer(ABC):
             number: number of the chunk among those of the source.
         """
         self.take_in(chunk, version, source, number)
+        self.rewards = self.rewards.plus(chunk.rows.reward, chunk.rows.steps)
         self.environment_steps += chunk.rows.steps
         self.episodes += len(chunk.episodes)
         self.recent.extend(chunk.episodes)
@@ -188,6 +200,7 @@ class Trainer(ABC):
         tensors, plain = self.snapshot_parts()
         plain |= {name: getattr(self, name) for name in COUNTERS}
         plain["recent"] = [episode_record(episode) for episode in self.recent]
+        plain |= {"separate_since": self.separate_since, "rewards": rewards_record(self.rewards)}
         return tensors, plain
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -203,7 +216,12 @@ class Trainer(ABC):
         """
         counts = {name: counter(state, name) for name in COUNTERS}
         recent = episode_summaries(state.get("recent"))
+        since = None if state.get("separate_since", 0) is None else counter(state, "separate_since")
+        if since is None and self.separate_since is not None:
+            raise CheckpointError("the checkpoint's agents share networks, and those of the configuration do not.")
+        rewards = restored_rewards(state.get("rewards"), self.team.agents)
         self.restore_parts(tensors, state)
+        self.separate_since, self.rewards = since, rewards
         for name in COUNTERS:
             setattr(self, name, counts[name])
         self.recent = deque(recent, maxlen=RECENT_EPISODES)

@@ -136,7 +136,7 @@ def _begun(
         source: the policy.
         more: whether the type may observe more than the policy.
     """
-    actors, rows = source.actors, 1 if config.parameters == "shared" else group.count
+    actors, rows = source.actors, 1 if config.shared else group.count
     outputs = actor_outputs(group, "gaussian")
     if (actors.hidden, actors.memory) != (config.hidden, config.memory):
         return None

@@ -28,15 +28,15 @@ class EliteConfig:
     """beta_1, weight of the mean step reward in omega (ours)."""
     weight_variance: ClassVar[float] = -0.1
     """beta_2, weight of the variance of the scaled step rewards in omega (ours)."""
-    farms: int = 4
-    """Noise-free evaluation episodes of one event, each on a different training farm, so at most `rollout.train_farms`
-    (ours)."""
+    farms: int = 0
+    """Noise-free evaluation episodes of one event, each on a different training farm, so at most `rollout.train_farms`;
+    0 to score agents by the rewards of training itself (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse impossible schedules and scores."""
         within(0.0, 1.0, rate=self.rate, rate_decay=self.rate_decay)
         within(1, 1_000_000, cycle=self.cycle)
-        within(1, 256, farms=self.farms)
+        within(0, 256, farms=self.farms)
         if not 1.0 <= self.cycle_growth <= 1000.0:
             raise ConfigError(f"cycle_growth must be between 1 and 1000, not {self.cycle_growth}.")
 

@@ -203,6 +203,8 @@ monitoring = "lattice"
 collection = "velocity"
 [algorithm]
 name = "eia-sec"
+[elite]
+farms = 4
 [rollout]
 environments = 8
 chunk_steps = 20

@@ -133,6 +133,10 @@ class ProgressMessage(Message):
             has as many waits, because the learner would get what it flew too late (on policy).
         arguments: those that environments have from their next episodes on, a JSON object; empty for the configured
             ones.
+        separate_since: as in the trainer, episodes that were finished when agents got actors of their own; None
+            while they share them.
+        reward_steps, reward_sums: of agents' rewards in training, see `eia_sec.common.reward_sums`; no sums before the
+            first step.
     """
 
     KIND = 5
@@ -145,6 +149,9 @@ class ProgressMessage(Message):
     state: str
     window: int = NO_LIMIT
     arguments: str = ""
+    separate_since: int | None = None
+    reward_steps: float = 0.0
+    reward_sums: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from contextlib import closing
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import with_values
 from eia_sec.common.imitation import ImitationSchedule
+from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.transitions import Chunk
 from eia_sec.elite.evaluation_plan import evaluation_plan
 from eia_sec.elite.scoring import decide
@@ -56,12 +57,14 @@ def train_with(collector: Collector, config: RunConfig, watch: Watch) -> Trainer
         trainer.train(max(0, trainer.updates_due()))
         if trainer.changes != published or not trainer.publishes_at_once:
             version, published = trainer.next_version(), trainer.changes
-        while schedule.is_due(trainer.events, trainer.episodes):
-            number = trainer.events + 1
-            due = schedule.due_episode(number) or 0
-            reward, steps = run_noise_free_episodes(config, trainer.actors(), *evaluation_plan(config, number))
-            rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
-            trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
+        while (due := schedule.after(trainer.separate_since)).is_due(trainer.events, trainer.episodes):
+            number, rewards, flown = trainer.events + 1, trainer.rewards, 0
+            if config.elite.farms:
+                reward, steps = run_noise_free_episodes(config, trainer.actors(), *evaluation_plan(config, number))
+                flown = int(steps.sum())
+                rewards = RewardSums.of(reward, flown)
+            episode = due.due_episode(number) or 0
+            trainer.imitate(decide(trainer.team, config.elite, number, version, episode, rewards, flown))
             version, published = trainer.next_version(), trainer.changes
         actors, seen_steps = trainer.actors(), trainer.environment_steps
         progress = trainer.progress

@@ -157,8 +157,8 @@ def _imitation(imitation: Imitation) -> Panel:
     grid.add_column(justify="right", ratio=1, no_wrap=True)
     grid.add_row("events", f"{imitation.events}, rate {_rate(imitation.rate)}")
     due = "-" if imitation.next_episode is None else f"episode {imitation.next_episode:,}"
-    grid.add_row("next at", due)
-    grid.add_row("elites", Text(" ".join(f"{name} {index}" for name, index in imitation.elites) or "-"))
+    grid.add_row("next at", "when agents part" if imitation.shared else due)
+    grid.add_row("best", Text(" ".join(f"{name} {index}" for name, index, _ in imitation.elites) or "-"))
     return _panel("elite imitation", grid)
 
 

@@ -27,7 +27,7 @@ TROUBLES: Final = ("outages", "step_timeouts")
 """A worker's counts of what its environments did."""
 _SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds", *TROUBLES))
 """The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
-_OF_ELITE: Final = frozenset(("rate", "next_episode", "elites", "failures"))
+_OF_ELITE: Final = frozenset(("rate", "next_episode", "shared", "elites", "scores", "failures"))
 _WHOLE: Final = "learner"
 """The role whose whole report is kept."""
 
@@ -111,6 +111,7 @@ def _check(values: Mapping[str, Any]) -> None:
         int(ledger.get("workers", 0))
     for event in values.get("imitations", []):
         imitation_row(event, values)
+    elites_of(values, values)
     for name in ("elites", "waits", "curves"):
         if not isinstance(values.get(name, {}), dict):
             raise SchemaError(f"{name} is not a map.")
@@ -133,15 +134,20 @@ def ledger_of(values: Mapping[str, Any]) -> LedgerCounts:
 
 def imitation_row(event: Mapping[str, Any], learner: Mapping[str, Any]) -> ImitationRow:
     """Return an imitation event as the learner reports it among its metrics."""
-    scores = event.get("scores", {})
     return ImitationRow(
         event=int(event["event"]),
         episode=int(event["episode"]),
         rate=float(event["rate"]),
-        elites=tuple(
-            (type_label(learner, kind), int(elite), _score(scores.get(kind), int(elite)))
-            for kind, elite in event["elites"].items()
-        ),
+        elites=elites_of(event, learner),
+    )
+
+
+def elites_of(values: Mapping[str, Any], learner: Mapping[str, Any]) -> tuple[tuple[str, int, float | None], ...]:
+    """Return each type's name, elite and its score, of an imitation event or of the coordinator's report."""
+    scores = values.get("scores", {})
+    return tuple(
+        (type_label(learner, kind), int(elite), _score(scores.get(kind), int(elite)))
+        for kind, elite in values.get("elites", {}).items()
     )
 
 

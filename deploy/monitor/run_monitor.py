@@ -11,7 +11,7 @@ from eia_sec.common.protocol.messages import Envelope, MetricMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.deploy.monitor.alarms import examine
 from eia_sec.deploy.monitor.environment_labels import plotted, type_label, value_of
-from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of
+from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, elites_of, imitation_row, ledger_of
 from eia_sec.deploy.monitor.sanitised import plain
 from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
 from eia_sec.learner.intake.ledger import OTHERS
@@ -222,7 +222,8 @@ class RunMonitor:
             events=events,
             rate=float(values["rate"]) if values.get("rate") else None,
             next_episode=int(values["next_episode"]) if values.get("next_episode") else None,
-            elites=tuple((type_label(reported, kind), int(index)) for kind, index in values.get("elites", {}).items()),
+            shared=bool(values.get("shared")),
+            elites=elites_of(values, reported),
             newest=tuple(imitation_row(event, reported) for event in reported.get("imitations", [])),
         )
 

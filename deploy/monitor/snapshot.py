@@ -83,14 +83,16 @@ class Imitation:
         events: number of events applied.
         rate: vartheta of the newest event.
         next_episode: the episode at which the next event falls due.
-        elites: for each type, its name and the newest elite's index inside it.
+        shared: whether the agents of a type still share their actors, so that none imitates.
+        elites: for each type, its name, and the index and score omega of the agent that now scores best.
         newest: the newest events, oldest first.
     """
 
     events: int = 0
     rate: float | None = None
     next_episode: int | None = None
-    elites: tuple[tuple[str, int], ...] = ()
+    shared: bool = False
+    elites: tuple[tuple[str, int, float | None], ...] = ()
     newest: tuple[ImitationRow, ...] = ()
 
 

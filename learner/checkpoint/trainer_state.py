@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from eia_sec.common.errors import CheckpointError
+from eia_sec.common.errors import CheckpointError, SchemaError
+from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.transitions import EpisodeSummary
 
 MOST_COUNT: Final = 2**62
@@ -139,6 +140,24 @@ def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
     if not reward or not all(type(number) is int for number in (episode.farm, episode.episode, episode.steps)):
         raise ValueError("an entry has the wrong type")
     return episode
+
+
+def rewards_record(rewards: RewardSums) -> dict[str, Any]:
+    """Return sums of agents' rewards as plain values."""
+    return {"steps": rewards.steps, "sums": rewards.sums.tolist()}
+
+
+def restored_rewards(record: Any, agents: int) -> RewardSums:
+    """Return the sums of a `rewards_record`.
+
+    Raises:
+        CheckpointError: when they are malformed, or of another number of agents.
+    """
+    try:
+        sums = np.array([[_number(value) for value in row] for row in record["sums"]])
+        return RewardSums.checked(_number(record["steps"]), sums, agents)
+    except (KeyError, TypeError, ValueError, OverflowError, SchemaError) as error:
+        raise CheckpointError(f"the checkpoint's sums of rewards are not readable: {error}.") from error
 
 
 def _number(value: Any) -> float:

@@ -72,6 +72,7 @@ class IterationRoom:
     ) -> None:
         self._limits, self._version, self._gate, self._clock = limits, version, gate, clock
         self._steps: int | None = None
+        self._imitations: deque[int] = deque(maxlen=RECENT)
         self._ahead, self._iteration = 0, -1
         self._flying: dict[str, _Flight] = {}
         self._held: list[_Held] = []
@@ -96,9 +97,17 @@ class IterationRoom:
             answers = self._release()
         _send(answers)
 
-    def set_version(self, version: int, *, updating: bool = False) -> None:
-        """Set the newest published version, against which the age of chunks is measured; see `open`."""
+    def set_version(self, version: int, *, updating: bool = False, imitated: bool = False) -> None:
+        """Set the newest published version, against which the age of chunks is measured.
+
+        Args:
+            version: its number.
+            updating: see `open`.
+            imitated: whether it differs from the one before by an imitation event alone, which makes no chunk older.
+        """
         with self._gate:
+            if imitated:
+                self._imitations.append(version)
             self._version, self._ahead, self._seen = version, int(updating), self._clock()
             kept = (self._limits.most_lag or 0) + REMEMBERED
             self._flying = {name: flight for name, flight in self._flying.items() if self._age(flight.version) <= kept}
@@ -170,7 +179,7 @@ class IterationRoom:
 
     def _age(self, version: int) -> int:
         """Return the age that a chunk taken in now has when it is learned from, in versions."""
-        return self._version + self._ahead - version
+        return self._version + self._ahead - version - sum(event > version for event in self._imitations)
 
     def _budget(self) -> int:
         """Return the environment steps of the newest policy that are still learned from."""

@@ -16,7 +16,7 @@ class OwnValue(GroupValue):
 
     def __init__(self, config: OnPolicyConfig, group: GroupSpec, seed: int) -> None:
         super().__init__()
-        count = 1 if config.parameters == "shared" else group.count
+        count = 1 if config.shared else group.count
         names = initialisation_names("value", group, count, seed, per_type=config.initialisation == "type")
         self.network = make_stack(config, count, group.observation_size, 1, 1.0, names)
         self.states = group.count

@@ -43,7 +43,7 @@ class Policies(nn.Module):
 
     def _stack(self, group: GroupSpec, seed: int) -> Stack:
         config = self._config
-        count = 1 if config.parameters == "shared" else group.count
+        count = 1 if config.shared else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
         stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
         prefer(stack, group, config.suggestion_logits.get(group.name, FOLLOW))

@@ -65,6 +65,14 @@ class Ppo(ABC):
     def value_function(self, group: GroupSpec, seed: int) -> GroupValue:
         """Return fresh value functions of a type's agents."""
 
+    def shared_name(self, name: str) -> str:
+        """Return the name of the shared tensor that a tensor of separate networks begins as.
+
+        Args:
+            name: as in `eia_sec.learner.on_policy.updates.Updates.network_tensors`.
+        """
+        return name
+
     def actor_loss(self, kind: int, batch: Minibatch) -> ActorLoss:
         """Return the loss of a type's actors on a minibatch."""
         agents, config = self.team.agent_slices()[kind], self.config

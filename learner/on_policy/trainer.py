@@ -16,6 +16,7 @@ from torch import Tensor
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import CheckpointError
+from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk
@@ -61,8 +62,9 @@ class OnPolicyTrainer(Trainer):
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         super().__init__(config, team)
-        algorithm = self._algorithm = config.on_policy
-        self._updates = Updates(algorithm, team, config.seed, config.learner)
+        self._algorithm = config.on_policy
+        self.separate_since = None if self._algorithm.shared else 0
+        self._updates = Updates(self._algorithm, team, config.seed, config.learner)
         self.random = stream(config.seed, "minibatches")
         self.experience, self.following = Experience(), Experience()
         self.iterations = 0
@@ -141,6 +143,9 @@ class OnPolicyTrainer(Trainer):
         self._updates.end()
         self.experience, self.following = self.following, Experience()
         self.iterations += 1
+        if self.separate_since is None and self._algorithm.shared_until <= self.progress < 1.0:
+            self._updates, self.separate_since = self._updates.separated(), self.episodes
+            self.rewards = RewardSums.none(self.team.agents)
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
@@ -177,7 +182,9 @@ class OnPolicyTrainer(Trainer):
 
     def restore_parts(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
         """Continue from `snapshot_parts`."""
-        own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
+        separate = self._algorithm.shared and state.get("separate_since") is not None
+        updates = self._updates.separated() if separate else self._updates
+        own = {f"{NETWORKS}{name}": tensor for name, tensor in updates.network_tensors()}
         found = checked_tensors(own, tensors)
         require_moments(found)
         require_one_count(found)
@@ -190,11 +197,12 @@ class OnPolicyTrainer(Trainer):
             )
             for prefix in (ITERATION, FOLLOWING)
         )
-        running = self._running(tensors, state, experience, counts["epochs_left"])
-        self._updates.diagnostics.restore(state.get("diagnostics"))
+        running = self._running(updates, tensors, state, experience, counts["epochs_left"])
+        updates.diagnostics.restore(state.get("diagnostics"))
         with torch.no_grad():
             for name, tensor in own.items():
                 tensor.copy_(found[name])
+        self._updates = updates
         self.iterations, self._epochs_left, self._lag = counts["iterations"], counts["epochs_left"], lag
         self.experience, self.following, self.random, self._pending = experience, following, random, []
         if running is not None:
@@ -202,14 +210,14 @@ class OnPolicyTrainer(Trainer):
             self._updates.resume(experience.rows(), computed, stopped)
 
     def _running(
-        self, tensors: dict[str, Tensor], state: dict[str, Any], experience: Experience, epochs: int
+        self, updates: Updates, tensors: dict[str, Tensor], state: dict[str, Any], experience: Experience, epochs: int
     ) -> tuple[list[NDArray[np.int64]], dict[str, Tensor], list[bool]] | None:
         """Return the state of an iteration whose updates had begun, or None if they had not."""
         if not epochs:
             return None
         if epochs > self._algorithm.epochs or not experience.steps:
             raise CheckpointError("the checkpoint's iteration has impossible epochs.")
-        shapes = self._updates.iteration_shapes(experience.rows())
+        shapes = updates.iteration_shapes(experience.rows())
         computed = checked_tensors({f"{STATE}{name}": torch.zeros(shape) for name, shape in shapes.items()}, tensors)
         sizes, stopped = state.get("pending"), state.get("stopped")
         places = tensors.get(f"{STATE}pending")
@@ -217,7 +225,7 @@ class OnPolicyTrainer(Trainer):
             raise CheckpointError("the checkpoint's minibatches are not readable.")
         if places is None or places.dtype != torch.int64 or places.ndim != 1 or len(stopped) != len(self.team.groups):
             raise CheckpointError("the checkpoint's minibatches are not readable.")
-        used = np.isin(places.numpy(), self._updates.samples(experience.rows()))
+        used = np.isin(places.numpy(), updates.samples(experience.rows()))
         if not all(type(size) is int and size > 0 for size in sizes) or sum(sizes) != len(places) or not used.all():
             raise CheckpointError("the checkpoint's minibatches do not fit its iteration.")
         pending = np.split(places.numpy().copy(), np.cumsum(sizes)[:-1])
@@ -226,6 +234,8 @@ class OnPolicyTrainer(Trainer):
     def largest_checkpoint(self) -> int:
         """Return an upper bound of the bytes of the networks, of two iterations' rows, and of networks' states."""
         networks = sum(tensor.nbytes for _, tensor in self._updates.network_tensors())
+        if self._algorithm.shared_until < 1.0:
+            networks *= max(group.count for group in self.team.groups) + 1
         team, rollout = self.team, self.config.rollout
         chunk = rollout.chunk_rows(rollout.chunk_steps)
         whole = self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2
@@ -238,7 +248,8 @@ class OnPolicyTrainer(Trainer):
         """Return the bytes of the states in these chunks and at the sequences of an iteration's `whole` chunks."""
         algorithm, rollout = self._algorithm, self.config.rollout
         sequences = whole * rollout.chunk_steps // algorithm.sequence_steps
-        states = chunks * self.team.agents + sequences * (self.team.agents + self._updates.value_states)
+        value_states = self.team.agents * (2 + algorithm.ensemble_size)
+        states = chunks * self.team.agents + sequences * value_states
         return 4 * rollout.environments * states * algorithm.memory_size
 
     def statistics(self) -> dict[str, float]:

@@ -16,6 +16,7 @@ those of the present value functions. `objective` says what the ratio's denomina
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -71,7 +72,8 @@ class Updates:
     """
 
     def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int, learner: LearnerConfig) -> None:
-        self._config, self._team, self._device = config, team, (device := learner.device)
+        self._config, self._team, self._seed, self._learner = config, team, seed, learner
+        self._device = device = learner.device
         most = min(learner.update_threads, 2 * len(team.groups))
         self._side_by_side = SideBySide(most if device == "cpu" else 1)
         self._dtype = product_dtype(config.precision, device)
@@ -99,6 +101,23 @@ class Updates:
         self._seen = NOTHING_SEEN
         self._states: IterationStates | None = None
         self.stopped = [False] * len(team.groups)
+
+    def separated(self) -> "Updates":
+        """Return the updates in which every agent has networks of its own, copies of its type's.
+
+        A loss is a mean over a type's n agents, so an agent's network gets an n-th of the gradient that a shared one
+        gets. Adam's moments shrink with it, so that steps stay as long.
+        """
+        found = Updates(replace(self._config, shared_until=0.0), self._team, self._seed, self._learner)
+        shared = dict(self.network_tensors())
+        with torch.no_grad():
+            for name, tensor in found.network_tensors():
+                own = shared[self.algorithm.shared_name(name)]
+                copies = len(tensor) // len(own) if tensor.ndim else 1
+                power = {"exp_avg": 1, "exp_avg_sq": 2}.get(name.rpartition(".")[2], 0)
+                tensor.copy_((own / copies**power).expand_as(tensor))
+        found.diagnostics = self.diagnostics
+        return found
 
     def begin(self, rows: Rows, steps: int) -> None:
         """Compute values, advantages and returns of an iteration's rows.
@@ -307,11 +326,6 @@ class Updates:
             parts = [tensor] * len(stack.layers) if moment == "step" else stack.layers_of(tensor)
             for index, part in enumerate(parts):
                 yield f"{name}.layers.{index}.{moment}", part
-
-    @property
-    def value_states(self) -> int:
-        """How many states of value functions with memory belong to one row."""
-        return sum(value.states for value in self.values)
 
     def iteration_tensors(self) -> dict[str, Tensor]:
         """Return what a running iteration has computed from its rows, by name."""

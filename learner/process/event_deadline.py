@@ -25,36 +25,49 @@ class EventDeadline:
 
     def __init__(self, schedule: ImitationSchedule) -> None:
         self._schedule = schedule
-        self._applied, self._late = -1, 0
+        self._counted: tuple[int, int | None] | None = None
+        self._late = 0
         self._due: int | None = None
         self._since: float | None = None
+        self._able: float | None = None
 
-    def holds(self, applied: int, episodes: int, *, expected: bool, now: float) -> bool:
+    def holds(self, applied: int, episodes: int, since: int | None, *, expected: bool, now: float) -> bool:
         """Return whether new experience must wait for the next event.
 
         Args:
             applied: events applied.
             episodes: finished episodes, lambda.
+            since: finished episodes when agents got actors of their own; None while they share them.
             expected: whether a coordinator is present or will come.
             now: a monotonic clock, seconds.
         """
-        late = self._lateness(applied, episodes, now)
+        late = self._lateness(applied, episodes, since, now)
         return expected and 0.0 <= late < HOLD_SECONDS
 
-    def alarm(self, applied: int, episodes: int, now: float) -> str:
-        """Return a sentence if an event has been a cycle late for some time, else ""; arguments as for `holds`."""
-        if self._lateness(applied, episodes, now) < ALARM_SECONDS:
+    def alarm(self, applied: int, episodes: int, since: int | None, *, able: bool, now: float) -> str:
+        """Return a sentence if an event has been a cycle late for some time, else "".
+
+        Args:
+            applied: events applied.
+            episodes: finished episodes, lambda.
+            since: finished episodes when agents got actors of their own; None while they share them.
+            now: a monotonic clock, seconds.
+            able: whether the learner can apply an event now; time in which it cannot does not count.
+        """
+        self._able = (now if self._able is None else self._able) if able else None
+        waited = -1.0 if self._able is None else now - self._able
+        if min(waited, self._lateness(applied, episodes, since, now)) < ALARM_SECONDS:
             return ""
         return (
             f"imitation event {applied + 1} was due at episode {self._due} and has not arrived; is a coordinator "
             "running?"
         )
 
-    def _lateness(self, applied: int, episodes: int, now: float) -> float:
+    def _lateness(self, applied: int, episodes: int, since: int | None, now: float) -> float:
         """Return how many seconds the next event has been a cycle late, or -1 if it is not."""
-        if applied != self._applied:
-            self._applied, self._since = applied, None
-            self._due = self._schedule.due_episode(applied + 1)
+        if self._counted != (applied, since):
+            self._counted, self._since = (applied, since), None
+            self._due = self._schedule.after(since).due_episode(applied + 1)
             self._late = 0 if self._due is None else self._due + self._schedule.cycle(applied + 1)
         if self._due is None or episodes < self._late:
             return -1.0

@@ -68,9 +68,12 @@ class ImitationServer:
 
     def _require_due(self, event: ImitationEvent) -> None:
         """Raise SchemaError for an event that the configuration does not have, or not yet."""
-        due, trainer = self._schedule.due_episode(max(1, event.event)), self._trainer
-        if due is None:
+        number, trainer = max(1, event.event), self._trainer
+        if self._schedule.due_episode(number) is None:
             raise SchemaError(f"imitation event {event.event} never falls due in this run.")
+        due = self._schedule.after(trainer.separate_since).due_episode(number)
+        if due is None:
+            raise SchemaError(f"imitation event {event.event} came while agents share their actors.")
         if event.episode != due or trainer.episodes < due:
             raise SchemaError(
                 f"imitation event {event.event} falls due at episode {due}, not {event.episode}; "

@@ -55,5 +55,18 @@ class ParameterPublisher:
             arguments: those that environments have from their next episodes on, or empty.
         """
         t = self._trainer
-        counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
-        self._progress.put(ProgressMessage(self._epoch, *counters, state, window, arguments).encode())
+        message = ProgressMessage(
+            epoch=self._epoch,
+            version=t.version,
+            events=t.events,
+            episodes=t.episodes,
+            environment_steps=t.environment_steps,
+            updates=t.updates,
+            state=state,
+            separate_since=t.separate_since,
+            reward_steps=t.rewards.steps,
+            reward_sums=t.rewards.sums if t.rewards.steps else None,
+            window=window,
+            arguments=arguments,
+        )
+        self._progress.put(message.encode())

@@ -20,6 +20,11 @@ class Counters(Protocol):
 
     episodes: int
     events: int
+    separate_since: int | None
+
+    @property
+    def between_iterations(self) -> bool:
+        """Whether an imitation event can be applied."""
 
     @property
     def progress(self) -> float:
@@ -97,12 +102,15 @@ class Schedule:
     def awaits_event(self, counters: Counters, *, has_coordinator: bool, now: float) -> bool:
         """Return whether new experience waits for a late imitation event (free-running)."""
         expected = self._await_elite or has_coordinator
-        return self.deadline.holds(counters.events, counters.episodes, expected=expected, now=now)
+        return self.deadline.holds(
+            counters.events, counters.episodes, counters.separate_since, expected=expected, now=now
+        )
 
     def event_due(self, counters: Counters) -> bool:
         """Return whether an imitation event is due now (lockstep)."""
-        return self._imitation.is_due(counters.events, counters.episodes)
+        return self._imitation.after(counters.separate_since).is_due(counters.events, counters.episodes)
 
     def event_alarm(self, counters: Counters, now: float) -> str:
         """Return a sentence about an imitation event that is late, or an empty string."""
-        return self.deadline.alarm(counters.events, counters.episodes, now)
+        able, since = counters.between_iterations, counters.separate_since
+        return self.deadline.alarm(counters.events, counters.episodes, since, able=able, now=now)

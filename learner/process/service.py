@@ -234,15 +234,16 @@ class Learner:
 
     def _on_imitation(self, event: ImitationEvent) -> None:
         self._reporter.log_imitation(event)
-        self._publish()
+        self._publish(imitated=True)
 
-    def _publish(self) -> None:
+    def _publish(self, *, imitated: bool = False) -> None:
         self._schedule.publish_timer.restart(monotonic())
         every_turn = self._options.lockstep and not self.trainer.publishes_at_once
         if self._publisher.has_unpublished_changes or every_turn:
             updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
             # Before any worker can fly with it.
-            self.receiver.room.set_version(self.trainer.next_version(), updating=updating)
+            version = self.trainer.next_version()
+            self.receiver.room.set_version(version, updating=updating, imitated=imitated)
             try:
                 self._publisher.publish_parameters()
             except SchemaError as error:

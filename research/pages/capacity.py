@@ -130,7 +130,7 @@ class Measured:
 
 def parameter_bytes(algorithm: OnPolicyConfig, team: TeamSpec) -> int:
     """Return the bytes of one publication of all actors."""
-    shared = algorithm.parameters == "shared"
+    shared = algorithm.shared
     actors = TeamActors.initial(team, algorithm.hidden, 0, head="gaussian", shared=shared, memory=algorithm.memory)
     message = ParametersMessage(1, 1, 0, 0, 0.0, team.digest, actors.hidden, actors.head, actors.flat)
     return len(message.encode())

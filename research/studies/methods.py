@@ -7,7 +7,7 @@ candidate leads, so that of a method which converges late is longer; the reporte
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 from eia_sec.common.config import RunConfig, ablations
 from eia_sec.common.config.files import Value, with_values
@@ -69,13 +69,15 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 
+_SEPARATE: Final[dict[str, Any]] = {"algorithm.name": "eia-ppo", "algorithm.shared_until": 0.0, "elite.farms": 4}
+"""Actors and local value functions that are separate from the beginning, and elites from noise-free episodes."""
 ON_POLICY: Final = (
     Method("IPPO, shared parameters"),
     Method("MAPPO, shared parameters", {"algorithm.name": "mappo"}),
-    Method("neither", {"algorithm.parameters": "separate"}),
-    Method("EIA only", {"algorithm.name": "eia-ppo", "algorithm.ensemble": False}),
-    Method("SEC only", {"algorithm.name": "eia-ppo", "elite.enabled": False}),
-    Method("EIA-SEC", {"algorithm.name": "eia-ppo"}),
+    Method("neither", {"algorithm.shared_until": 0.0}),
+    Method("EIA only", {**_SEPARATE, "algorithm.ensemble": False}),
+    Method("SEC only", {**_SEPARATE, "elite.enabled": False}),
+    Method("EIA-SEC", _SEPARATE),
 )
 """Forms of PPO over the preset `quick`, with its settings. From `neither` on, each agent has its own networks."""
 _ADDED: Final = ("peers", "last_move", "closing", "units", "fields", "coarse", "phases", "route", "service")

@@ -45,6 +45,14 @@ def test_disabled_never_fires() -> None:
     assert episodes(ImitationSchedule(EliteConfig(enabled=False)), 100) == []
 
 
+def test_the_schedule_begins_when_agents_part() -> None:
+    """While agents share their actors nothing is due; then cycles are counted from where they part."""
+    schedule = ImitationSchedule(EliteConfig())
+    assert episodes(schedule.after(None), 100) == []
+    assert episodes(schedule.after(75), 200) == [80, 100, 120, 160]
+    assert episodes(schedule.after(0), 200) == episodes(schedule, 200)
+
+
 def test_an_event_that_was_missed_is_due_later() -> None:
     """Episodes may finish several at once; the event is due from its episode on until it is applied."""
     schedule = ImitationSchedule(EliteConfig())

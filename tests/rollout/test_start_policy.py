@@ -104,7 +104,7 @@ def test_as_many_inputs_are_not_enough(tmp_path):
     file = tmp_path / "policy.safetensors"
     trained = with_values(preset("default"), same_size)
     save_policy(file, TeamActors.initial(farm_team(trained.farm), 64, 3), {})
-    wanted = {"algorithm.start_policy.all": str(file), "algorithm.parameters": "separate", **other}
+    wanted = {"algorithm.start_policy.all": str(file), "algorithm.shared_until": 0.0, **other}
     sizes = [farm_team(with_values(preset("default"), of).farm).groups[1].observation_size for of in (other, same_size)]
     assert sizes[0] == sizes[1]
     assert begun(wanted)[1][1] is not None
@@ -123,7 +123,7 @@ def test_odd_names_are_refused_in_one_sentence(name):
 def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
     """Equal rows for all agents, and of their own memory."""
     actors, _ = load_policy(TRAINED)
-    config, found = begun({"algorithm.start_policy.all": "trained", "algorithm.parameters": "separate"})
+    config, found = begun({"algorithm.start_policy.all": "trained", "algorithm.shared_until": 0.0})
     for flat, own, group in zip(found, actors.flat, farm_team(config.farm).groups, strict=True):
         np.testing.assert_array_equal(flat, np.repeat(own, group.count, axis=0))
         assert flat.flags.writeable
@@ -164,5 +164,5 @@ def test_agents_with_actors_of_their_own_do_not_become_one(tmp_path):
     values = {"algorithm.start_policy.all": str(tmp_path / "own.safetensors")}
     with pytest.raises(PolicyError, match="fits no type"):
         begun(values)
-    config, found = begun({**values, "algorithm.parameters": "separate"})
+    config, found = begun({**values, "algorithm.shared_until": 0.0})
     assert [len(flat) for flat in found if flat is not None] == [group.count for group in farm_team(config.farm).groups]

@@ -79,6 +79,7 @@ CHOICES = 'farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncoll
 def on_policy(name: str, lag: int = 1, memory: str = "none") -> str:
     """Return TINY with an algorithm that learns on policy: `eia-ppo` imitates, the others choose discrete actions.
 
+    With `eia-ppo` agents part after half of the run, and elites are scored by the rewards of training.
     Rows hold observations as bfloat16 numbers, or as float32 where actors have memory.
     """
     sections = {section.partition("]")[0]: section for section in TINY.split("\n[")}
@@ -88,6 +89,9 @@ def on_policy(name: str, lag: int = 1, memory: str = "none") -> str:
         f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag, precision=precision).rstrip()}{remembers}'
     )
     without = {"replay"}
+    if name == "eia-ppo":
+        sections["algorithm"] += "\nshared_until = 0.5"
+        sections["elite"] = sections["elite"].replace("farms = 2", "farms = 0")
     if name != "eia-ppo":
         without |= {"elite"}
         sections["farm.control"] = CHOICES

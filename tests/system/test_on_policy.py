@@ -10,10 +10,10 @@ from tests.system.fleet import configured, on_policy, until
 
 @pytest.mark.parametrize(
     ("name", "events", "memory"),
-    [("ippo", 0, "none"), ("eia-ppo", 3, "none"), ("mappo", 0, "gru"), ("eia-ppo", 3, "gru")],
+    [("ippo", 0, "none"), ("eia-ppo", 2, "none"), ("mappo", 0, "gru"), ("eia-ppo", 2, "gru")],
 )
 def test_lockstep_is_bit_equal_to_one_process(processes, name, events, memory):
-    """After eight episodes, with three imitation events where elites are imitated, all actors are bit-equal."""
+    """After eight episodes, with two imitation events where elites are imitated, all actors are bit-equal."""
     text = on_policy(name, memory=memory)
     processes.config.write_text(text, encoding="utf-8")
     if events:

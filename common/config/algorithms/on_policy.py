@@ -66,8 +66,9 @@ class OnPolicyConfig(AlgorithmConfig):
     weighted by how likely it is to act as they did (decoupled PPO). The latter learns as well from older chunks."""
     max_lag_versions: int = 1
     """Largest age of a chunk's policy when it is learned from, in parameter versions; 0 is strictly on policy."""
-    parameters: Literal["shared", "separate"] = "shared"
-    """Whether the agents of a type share one actor and one value function, or each has its own."""
+    shared_until: float = 1.0
+    """Share of the run during which the agents of a type share one actor and one value function. Then each gets its
+    own, at first a copy; 0 for separate ones from the beginning, 1 for shared ones to the end."""
     memory: Memory = "none"
     """Whether actors and value functions see the present observation alone, or remember earlier ones of the episode by
     a gated recurrent unit (gru) in place of their second hidden layer."""
@@ -93,7 +94,7 @@ class OnPolicyConfig(AlgorithmConfig):
         within(1, 1000, epochs=self.epochs)
         within(0, 10**9, value_steps=self.value_steps)
         within(1, 10_000_000, minibatch_steps=self.minibatch_steps)
-        within(0.0, 1.0, gae_lambda=self.gae_lambda, rate_end=self.rate_end)
+        within(0.0, 1.0, gae_lambda=self.gae_lambda, rate_end=self.rate_end, shared_until=self.shared_until)
         positive(clip=self.clip)
         not_negative(target_kl=self.target_kl, entropy_start=self.entropy_start, entropy_end=self.entropy_end)
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
@@ -121,6 +122,11 @@ class OnPolicyConfig(AlgorithmConfig):
     def memory_size(self) -> int:
         """Numbers h in the state of one network with memory; 0 without memory."""
         return 0 if self.memory == "none" else self.hidden
+
+    @property
+    def shared(self) -> bool:
+        """Whether the agents of a type share their networks at the beginning."""
+        return self.shared_until > 0.0
 
     @property
     def sees_team(self) -> bool:
@@ -163,15 +169,18 @@ class MappoConfig(OnPolicyConfig):
 class EiaPpoConfig(OnPolicyConfig):
     """EIA-SEC on policy: actors that imitate elites (section `elite`), and a shared ensemble of value functions.
 
-    Each agent has an actor and a local value function; each type shares an ensemble of value functions.
+    The agents of a type begin as one, the limit vartheta = 1 of imitation. From `shared_until` on each has an actor and
+    a local value function, learns from its own data and imitates its elite. A type's ensemble of value functions is
+    shared throughout.
     """
 
     sections: ClassVar[tuple[str, ...]] = ("elite",)
 
     name: Literal["eia-ppo"] = "eia-ppo"
     """The algorithm, which selects the options of this section."""
-    parameters: Literal["shared", "separate"] = "separate"
-    """Whether the agents of a type share one actor and one value function, or each has its own."""
+    shared_until: float = 0.8
+    """Share of the run during which the agents of a type share one actor and one value function. Then each gets its
+    own, at first a copy; 0 for separate ones from the beginning, 1 for shared ones to the end."""
     ensemble: bool = True
     """Whether the shared ensemble takes part; without it the value is the local one alone."""
     ensemble_members: int = 2

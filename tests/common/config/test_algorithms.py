@@ -181,7 +181,7 @@ def test_a_run_may_have_memory():
     assert from_toml(to_toml(config), preset("study")) == config
     other = with_values(config, {"algorithm.name": "eia-ppo"})
     assert (other.memory, other.on_policy.sequence_steps) == ("gru", 100)
-    assert other.on_policy.parameters == "separate", "elites are imitated by agents that have networks of their own"
+    assert 0.0 < other.on_policy.shared_until < 1.0, "elites are imitated by agents that have networks of their own"
     assert (preset("eia-sec").memory, preset("eia-sec").memory_size) == ("none", 0)
     assert preset("default").memory_size == 0
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import EiaSecConfig, EliteConfig, IppoConfig, ReplayConfig, RolloutConfig
+from eia_sec.common.config import EiaSecConfig, EliteConfig, IppoConfig, ReplayConfig, RolloutConfig, RunConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
@@ -57,7 +57,7 @@ def test_rounded_observations_halve_a_chunk():
     """The computed size falls by two bytes for each number of an observation."""
     rollout = RolloutConfig(environments=4, chunk_steps=10)
     exact, halved = (
-        chunk_bytes(replace(BASE, algorithm=IppoConfig(precision=precision), rollout=rollout), FARM)
+        chunk_bytes(RunConfig(algorithm=IppoConfig(precision=precision), rollout=rollout), FARM)
         for precision in ("float32", "bfloat16")
     )
     assert exact - halved == 2 * TEAM.observation_size * rollout.chunk_rows(1)
@@ -67,7 +67,7 @@ def test_rounded_observations_halve_a_chunk():
 def test_chunks_with_states_have_the_computed_size(environments):
     """The state of each agent in each environment adds its bytes, and the unit's parameters add theirs."""
     rollout, algorithm = RolloutConfig(environments=environments, chunk_steps=10), IppoConfig(hidden=32)
-    plain = replace(BASE, algorithm=algorithm, rollout=rollout)
+    plain = RunConfig(algorithm=algorithm, rollout=rollout)
     config = replace(plain, algorithm=replace(algorithm, memory="gru", sequence_steps=10))
     more = chunk_bytes(config, FARM) - chunk_bytes(plain, FARM)
     assert more == np.zeros((environments, TEAM.agents, 32), np.float32).nbytes

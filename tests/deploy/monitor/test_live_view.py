@@ -60,7 +60,7 @@ SNAPSHOT = Snapshot(
         events=6,
         rate=0.003125,
         next_episode=1270,
-        elites=(("c", 2), ("m", 0), ("d", 3)),
+        elites=(("c", 2, 0.8125), ("m", 0, None), ("d", 3, -1.5)),
         newest=tuple(
             ImitationRow(k, 10 * 2**k, 0.1 / 2**k, (("c", 2, 0.8125), ("m", 0, None), ("d", 3, -1.5)))
             for k in range(3, 7)

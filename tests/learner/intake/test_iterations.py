@@ -119,6 +119,17 @@ def test_age_is_that_when_a_chunk_is_taken():
         assert held(door, receiver, parcel(3, version=2))
 
 
+def test_an_imitation_event_makes_no_chunk_older():
+    """Its version counts for publishing alone, so what was under way is still learned from."""
+    with opened(most_lag=1, iteration_steps=1) as (receiver, door):
+        receiver.room.set_version(2)
+        receiver.room.set_version(3, imitated=True)
+        receiver.room.open(0, 2, updating=False)
+        assert door.pass_on(parcel(1, version=1)).verdict == "accepted"
+        receiver.room.set_version(4)
+        assert "its policy is 2 versions old" in door.pass_on(parcel(2, version=1)).answer.reasons[0]
+
+
 def test_a_draining_learner_takes_everything():
     """Chunks that wait for an iteration, and all that follow, are taken without one."""
     with opened(most_lag=1, iteration_steps=1) as (receiver, door):

@@ -17,7 +17,7 @@ from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, mo
 CASES: dict[str, RunConfig] = {
     "ippo": configured("ippo", target_kl=0.0),
     "bfloat16": configured("ippo", target_kl=0.0, precision="bfloat16", hidden=64),
-    "separate bfloat16": configured("ippo", parameters="separate", precision="bfloat16", hidden=64),
+    "separate bfloat16": configured("ippo", shared_until=0.0, precision="bfloat16", hidden=64),
     "decoupled": configured("ippo", objective="decoupled", max_lag_versions=1),
     "a type stops": configured("ippo", actor_rate=0.02, target_kl=0.02, epochs=4),
     "mappo": configured("mappo"),

@@ -65,7 +65,7 @@ def test_an_export_is_a_copy_and_loads_again():
 @pytest.mark.parametrize("memory", [False, True])
 def test_checkpoints_name_every_layer_and_its_moments(memory):
     """Each layer has its own name, with those of Adam's moments after it."""
-    config = with_memory("ippo") if memory else configured("ippo", parameters="separate")
+    config = with_memory("ippo") if memory else configured("ippo", shared_until=0.0)
     trainer = OnPolicyTrainer(config, TEAM)
     trainer.absorb(remembered_chunk(trainer.actors(), 0) if memory else chunk(trainer.actors(), 0, ENDS))
     trainer.train(2)

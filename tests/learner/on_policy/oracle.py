@@ -49,12 +49,17 @@ class Agent:
     index: int
     """Its index in its type."""
     actor: nn.Module
-    local: nn.Module
+    local: nn.Module | None
     members: list[nn.Module]
     gamma: float
     data: dict[str, Tensor] = field(default_factory=dict)
     weight: Tensor = field(default_factory=lambda: torch.ones(()))
     """pi_newest / pi_behaviour of its steps, at most 2."""
+
+    @property
+    def values(self) -> list[nn.Module]:
+        """Its value functions."""
+        return [*self.members, *([] if self.local is None else [self.local])]
 
 
 class Oracle:
@@ -77,7 +82,7 @@ class Oracle:
         for kind, group in enumerate(team.groups):
             self._add(kind, group, tensors)
         self.actors = unique([agent.actor for agent in self.agents])
-        self.values = unique([v for agent in self.agents for v in (agent.local, *agent.members)])
+        self.values = unique([v for agent in self.agents for v in agent.values])
         parameters = [
             {"params": [p for module in modules for p in module.parameters()], "lr": rate}
             for modules, rate in ((self.actors, config.actor_rate), (self.values, config.critic_rate))
@@ -86,13 +91,14 @@ class Oracle:
 
     def _add(self, kind: int, group: GroupSpec, tensors: dict[str, Tensor]) -> None:
         config = self.config
-        copies = 1 if config.parameters == "shared" else group.count
+        copies = 1 if config.shared else group.count
         actors = [self.network(tensors, f"actors.types.{kind}", index) for index in range(copies)]
-        part = {"ippo": ".network", "mappo": ".network", "eia-ppo": ".local.network"}[config.name]
-        part = part if config.name != "eia-ppo" or config.ensemble_size else ".network"
-        locals_ = [
-            self.network(tensors, f"values.{kind}{part}", index) for index in range(1 if config.sees_team else copies)
-        ]
+        part = ".local.network" if config.ensemble_size else ".network"
+        locals_: list[nn.Module | None] = (
+            [self.network(tensors, f"values.{kind}{part}", index) for index in range(1 if config.sees_team else copies)]
+            if not (config.ensemble_size and config.shared)
+            else [None]
+        )
         members = [self.network(tensors, f"values.{kind}.members.{k}", 0) for k in range(config.ensemble_size)]
         gamma = {"b": 0.5}.get(group.name, config.discount)
         for index in range(group.count):
@@ -105,10 +111,13 @@ class Oracle:
         return module(own)[:, 0]
 
     def mixture(self, agent: Agent, own: Tensor, team: Tensor) -> Tensor:
-        local = self.value(agent, agent.local, own, team)
+        local = None if agent.local is None else self.value(agent, agent.local, own, team)
         if not agent.members:
+            assert local is not None
             return local
         shared = torch.stack([self.value(agent, member, own, team) for member in agent.members]).mean(dim=0)
+        if local is None:
+            return shared
         epsilon = self.config.mixture_epsilon  # type: ignore[attr-defined]  # an ensemble means EiaPpoConfig
         return epsilon * local + (1 - epsilon) * shared
 
@@ -220,8 +229,11 @@ class Oracle:
     def _loss(self, agent: Agent, here: Tensor, team: Tensor, weight: float, kl: dict[str, list[float]]) -> Tensor:
         own, action, sent, advantage, returns = (part[here] for part in agent.data.values())
         loss = torch.zeros(())
-        for module in (agent.local, *agent.members):
-            loss = loss + ((self.value(agent, module, own, team) - returns) ** 2).mean()
+        for module in agent.values:
+            error = self.value(agent, module, own, team) - returns
+            if module in agent.members:
+                error = error[self._learnt(agent.members.index(module), len(agent.members), len(here))]
+            loss = loss + (error**2).mean()
         if agent.group.name in self.stopped:
             return loss
         log_probability, entropy = self.policy(agent, own, action)
@@ -232,12 +244,16 @@ class Oracle:
         clipped = -advantage * torch.clamp(ratio, 1 - self.config.clip, 1 + self.config.clip)
         return loss + torch.max(unclipped, clipped).mean() - weight * scale * entropy.mean()
 
+    def _learnt(self, member: int, members: int, rows: int) -> Any:
+        """Return the places in a minibatch from which a member of an ensemble learns."""
+        return [place for place in range(rows) if place % members == member]
+
     def _clip(self) -> None:
         """Limit the gradient of a type's actors, and that of its value functions."""
         for group in self.team.groups if self.config.gradient_clip else ():
             mates = [agent for agent in self.agents if agent.group is group]
             actors = unique([agent.actor for agent in mates])
-            values = unique([v for agent in mates for v in (agent.local, *agent.members)])
+            values = unique([v for agent in mates for v in agent.values])
             for modules in (actors, values):
                 parameters = [p for module in modules for p in module.parameters()]
                 norm = nn.utils.clip_grad_norm_(parameters, self.config.gradient_clip)

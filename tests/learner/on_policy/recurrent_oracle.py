@@ -80,7 +80,7 @@ class RecurrentOracle(Oracle):
         kind = team.groups.index(agent.group)
         own = torch.from_numpy(team.split_observations(rows.observation)[kind][:, agent.index].copy())
         whole = torch.from_numpy(rows.observation)
-        for module in (agent.actor, agent.local, *agent.members):
+        for module in (agent.actor, *agent.values):
             first = self.first[:, agent.place] if module is agent.actor else torch.zeros_like(self.first[:, 0])
             module.sequences = [(first[e], [self.begins[row] for row in part]) for e, part in enumerate(self.whole)]
             with torch.no_grad():
@@ -113,6 +113,12 @@ class RecurrentOracle(Oracle):
     def policy(self, agent: Agent, own: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         self._lead(agent, agent.actor)
         return super().policy(agent, own, action)
+
+    def _learnt(self, member: int, members: int, rows: int) -> Any:
+        lengths = [len(self.cut[k]) for k in self.now]
+        owner = np.repeat(np.arange(len(lengths)), lengths)
+        first = member % len(lengths)
+        return np.flatnonzero((owner >= first) & ((owner - first) % members == 0))
 
     def _minibatches(self, used: Any) -> Any:
         order = self.random.permutation(np.arange(len(self.cut)))

@@ -27,8 +27,9 @@ TINY: dict[str, Any] = {
 
 
 def configured(name: str = "ippo", **options: Any) -> RunConfig:
-    """Return a run of ten episodes."""
-    return RunConfig(seed=5, episodes=10, algorithm=ALGORITHMS[name](**{**TINY, **options}))
+    """Return a run of ten episodes; agents that imitate have networks of their own from the beginning."""
+    separate = {"shared_until": 0.0} if name == "eia-ppo" else {}
+    return RunConfig(seed=5, episodes=10, algorithm=ALGORITHMS[name](**{**TINY, **separate, **options}))
 
 
 def observations(team: TeamSpec, count: int, draw: np.random.Generator) -> Float32:

@@ -18,10 +18,10 @@ RELAY = Headings(*HEADING_SPEEDS, 0.025, potential=FIRST, time_left=TIME_LEFT)
 RELAYS = TeamSpec((GroupSpec("a", 3, 16, 1, (RELAY,), (25,)),))
 
 
-@pytest.mark.parametrize("parameters", ["shared", "separate"])
-def test_a_fresh_policy_follows_the_suggested_move(parameters):
+@pytest.mark.parametrize("shared_until", [1.0, 0.0])
+def test_a_fresh_policy_follows_the_suggested_move(shared_until):
     """Whatever else it sees, it takes that move seven times in eight."""
-    policies = Policies(IppoConfig(hidden=32, parameters=parameters), TEAM, 0)
+    policies = Policies(IppoConfig(hidden=32, shared_until=shared_until), TEAM, 0)
     observation = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3, 16)).astype(np.float32)
     marked = np.random.default_rng(1).integers(0, 9, (40, 3))
     observation[..., FIRST : FIRST + 9] = np.arange(9) == marked[..., None]
@@ -71,8 +71,8 @@ def options_of(hidden: int, observation: torch.Tensor, **settings) -> torch.Tens
         return policies.stacks[0](observation)[0, 0]
 
 
-@pytest.mark.parametrize("parameters", ["shared", "separate"])
-def test_a_fresh_relay_flies_where_a_potential_falls_as_time_runs_out(parameters):
+@pytest.mark.parametrize("shared_until", [1.0, 0.0])
+def test_a_fresh_relay_flies_where_a_potential_falls_as_time_runs_out(shared_until):
     """It rests until then. At the end it flies fast on the heading of the best move, for every heading."""
     for heading in range(8):
         x, y = np.rint(np.cos(heading * np.pi / 4)), np.rint(np.sin(heading * np.pi / 4))
@@ -80,9 +80,9 @@ def test_a_fresh_relay_flies_where_a_potential_falls_as_time_runs_out(parameters
         observation[..., FIRST : FIRST + 9] = 0.3
         observation[..., FIRST + int(3 * (x + 1) + y + 1)] = -0.5
         observation[..., TIME_LEFT] = 1.0
-        assert options_of(16, observation, parameters=parameters).argmax() == 0
+        assert options_of(16, observation, shared_until=shared_until).argmax() == 0
         observation[..., TIME_LEFT] = 0.2
-        outputs = options_of(16, observation, parameters=parameters)
+        outputs = options_of(16, observation, shared_until=shared_until)
         assert outputs.argmax() == 1 + 8 * 2 + heading
         assert outputs[1 + 8 * 2 + heading].item() == pytest.approx(20.0 * (0.5 - 0.2), abs=0.1)
         assert outputs[1 + 8 + heading].item() == pytest.approx(0.9 * 20.0 * (0.5 - 0.2), abs=0.1)

@@ -16,9 +16,9 @@ from tests.learner.checkpoint.test_forged import ODD, places, put
 from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
 from tests.learner.test_trainer import assert_bit_equal
 
-CONFIG = configured("eia-ppo", epochs=3, target_kl=0.02, actor_rate=0.01)
+CONFIG = configured("eia-ppo", epochs=3, target_kl=0.02, actor_rate=0.01, shared_until=0.2)
 DECOUPLED = configured("eia-ppo", epochs=3, target_kl=0.02, actor_rate=0.01, objective="decoupled")
-"""Iterations of 40 steps with 12 updates; types stop at different epochs."""
+"""Iterations of 40 steps with 12 updates; types stop at different epochs. Agents part after the first iteration."""
 STEPS: tuple[str | int, ...] = ("chunk", "chunk", 1, 1, 1, "chunk", 3, 1, 5, "chunk", 2, 2, 8, "publish", "chunk")
 """Chunks of 20 steps and updates: cuts lie before an iteration is full, inside its updates, and behind them.
 

@@ -111,10 +111,10 @@ def test_groups_of_environments_are_all_environments(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-@pytest.mark.parametrize("parameters", ["shared", "separate"])
-def test_the_learner_finds_the_states_of_the_workers(name, parameters):
+@pytest.mark.parametrize("shared_until", [1.0, 0.0])
+def test_the_learner_finds_the_states_of_the_workers(name, shared_until):
     """States before all sequences, and log-probabilities of all steps, are those of the actors that acted."""
-    config = with_memory(name, parameters=parameters)
+    config = with_memory(name, shared_until=shared_until)
     updates = Updates(config.on_policy, TEAM, 5, LearnerConfig())
     actors = updates.policies.actors()
     rows = remembered_chunk(actors, 2).rows

@@ -10,7 +10,7 @@ from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, mo
 
 CASES = {
     "ippo": ("ippo", {}),
-    "ippo separate": ("ippo", {"parameters": "separate", "initialisation": "independent"}),
+    "ippo separate": ("ippo", {"shared_until": 0.0, "initialisation": "independent"}),
     "ippo bootstrapped": ("ippo", {"time_limit": "bootstrap"}),
     "ippo without clips": ("ippo", {"gradient_clip": 0.0, "clip": 1e6, "target_kl": 0.0}),
     "ippo tight clips": ("ippo", {"gradient_clip": 0.01, "clip": 0.02, "target_kl": 0.0}),
@@ -25,9 +25,9 @@ CASES = {
     ),
     "mappo": ("mappo", {"target_kl": 0.0}),
     "mappo decoupled": ("mappo", {"objective": "decoupled", "target_kl": 0.0}),
-    "mappo separate": ("mappo", {"parameters": "separate", "gae_lambda": 0.5}),
+    "mappo separate": ("mappo", {"shared_until": 0.0, "gae_lambda": 0.5}),
     "eia-ppo": ("eia-ppo", {"target_kl": 0.0}),
-    "eia-ppo shared": ("eia-ppo", {"parameters": "shared", "ensemble_members": 3, "mixture_epsilon": 0.4}),
+    "eia-ppo shared": ("eia-ppo", {"shared_until": 1.0, "ensemble_members": 3, "mixture_epsilon": 0.4}),
     "eia-ppo without ensemble": ("eia-ppo", {"ensemble": False, "target_kl": 0.0}),
 }
 
@@ -61,9 +61,11 @@ def assert_equal_networks(trainer, oracle):
 
 def networks(tensors, agent, kind):
     """Yield the names of an agent's stacks in a checkpoint, and its networks."""
-    local = next(part for part in (".local.network", ".network") if f"networks.values.{kind}{part}.layers.0" in tensors)
     yield f"actors.types.{kind}", agent.actor
-    yield f"values.{kind}{local}", agent.local
+    if agent.local is not None:
+        parts = (".local.network", ".network")
+        local = next(part for part in parts if f"networks.values.{kind}{part}.layers.0" in tensors)
+        yield f"values.{kind}{local}", agent.local
     for k, member in enumerate(agent.members):
         yield f"values.{kind}.members.{k}", member
 

@@ -13,31 +13,49 @@ def deadline(**settings: object) -> EventDeadline:
 def test_an_event_holds_from_a_cycle_after_its_episode_until_it_is_applied():
     """Event 1 is due at 10 and late at 20; once it is applied event 2, due at 20, is late at 40."""
     watch = deadline()
-    assert not watch.holds(0, 19, expected=True, now=100.0)
-    assert watch.holds(0, 20, expected=True, now=100.0)
-    assert not watch.holds(1, 39, expected=True, now=101.0)
-    assert watch.holds(1, 40, expected=True, now=101.0)
+    assert not watch.holds(0, 19, 0, expected=True, now=100.0)
+    assert watch.holds(0, 20, 0, expected=True, now=100.0)
+    assert not watch.holds(1, 39, 0, expected=True, now=101.0)
+    assert watch.holds(1, 40, 0, expected=True, now=101.0)
 
 
 def test_a_hold_ends_after_its_longest_time_and_begins_anew_with_the_next_event():
     """A coordinator that never comes costs one hold; one that comes back is waited for again."""
     watch = deadline()
-    assert watch.holds(0, 20, expected=True, now=100.0)
-    assert watch.holds(0, 20, expected=True, now=100.0 + HOLD_SECONDS - 0.1)
-    assert not watch.holds(0, 20, expected=True, now=100.0 + HOLD_SECONDS)
-    assert not watch.holds(0, 500, expected=True, now=5000.0)
-    assert watch.holds(1, 500, expected=True, now=5000.0)
+    assert watch.holds(0, 20, 0, expected=True, now=100.0)
+    assert watch.holds(0, 20, 0, expected=True, now=100.0 + HOLD_SECONDS - 0.1)
+    assert not watch.holds(0, 20, 0, expected=True, now=100.0 + HOLD_SECONDS)
+    assert not watch.holds(0, 500, 0, expected=True, now=5000.0)
+    assert watch.holds(1, 500, 0, expected=True, now=5000.0)
 
 
 def test_nobody_is_waited_for_who_is_not_expected():
     """A learner on its own goes on, and an alarm says that the event has not come."""
     watch = deadline()
-    assert not watch.holds(0, 20, expected=False, now=100.0)
-    assert watch.alarm(0, 25, 100.0 + ALARM_SECONDS - 0.1) == ""
-    assert "event 1 was due at episode 10" in watch.alarm(0, 25, 100.0 + ALARM_SECONDS)
-    assert watch.alarm(1, 25, 101.0 + ALARM_SECONDS) == ""
+    assert not watch.holds(0, 20, 0, expected=False, now=100.0)
+    assert watch.alarm(0, 25, 0, able=True, now=100.0) == ""
+    assert watch.alarm(0, 25, 0, able=True, now=100.0 + ALARM_SECONDS - 0.1) == ""
+    assert "event 1 was due at episode 10" in watch.alarm(0, 25, 0, able=True, now=100.0 + ALARM_SECONDS)
+    assert watch.alarm(1, 25, 0, able=True, now=101.0 + ALARM_SECONDS) == ""
+
+
+def test_a_learner_that_updates_is_not_waited_for():
+    """While an iteration's updates run no event can be applied, so their time raises no alarm."""
+    watch = deadline()
+    assert watch.alarm(0, 25, 0, able=True, now=100.0) == ""
+    assert watch.alarm(0, 25, 0, able=False, now=100.0 + ALARM_SECONDS) == ""
+    assert watch.alarm(0, 25, 0, able=True, now=101.0 + ALARM_SECONDS) == ""
+    assert watch.alarm(0, 25, 0, able=True, now=101.0 + 2 * ALARM_SECONDS)
+
+
+def test_nothing_is_late_while_agents_share_their_actors():
+    """Nothing is held before they part, and cycles count from there."""
+    watch = deadline()
+    assert not watch.holds(0, 1000, None, expected=True, now=0.0)
+    assert not watch.holds(0, 1019, 1000, expected=True, now=1.0)
+    assert watch.holds(0, 1020, 1000, expected=True, now=2.0)
 
 
 def test_nothing_is_late_without_imitation():
     """Runs without imitation hold nothing."""
-    assert not deadline(enabled=False).holds(0, 1000, expected=True, now=0.0)
+    assert not deadline(enabled=False).holds(0, 1000, 0, expected=True, now=0.0)

@@ -17,7 +17,7 @@ DUE = SCHEDULE.due_episode(1)
 EVENT = ImitationEvent(1, 3, DUE, SCHEDULE.rate(1), (0,), ((1.0,),), 10)
 
 
-def receipt(event, schedule=SCHEDULE, episodes=DUE, epoch=5, name="coordinator"):
+def receipt(event, schedule=SCHEDULE, episodes=DUE, epoch=5, name="coordinator", since=0):
     """Send one event to a learner; return its receipt, the server, and the events that were applied."""
     answers, applied, lease = [], [], Lease()
     lease.claim("coordinator", 1, 0.0)
@@ -26,7 +26,7 @@ def receipt(event, schedule=SCHEDULE, episodes=DUE, epoch=5, name="coordinator")
         attachment=Envelope("elite", name, 1, 1).encode(),
         reply=answers.append,
     )
-    trainer = SimpleNamespace(episodes=episodes, version=7, imitate=lambda event: True)
+    trainer = SimpleNamespace(episodes=episodes, version=7, separate_since=since, imitate=lambda event: True)
     server = ImitationServer(SimpleNamespace(waiting=lambda: [request]), trainer, schedule, lease, 5, applied.append)
     server.answer()
     return ReceiptMessage.decode(answers[0]), server, applied
@@ -50,6 +50,8 @@ def test_a_due_event_is_applied():
         (replace(EVENT, version=8), {}, "evaluated version 8, which does not exist"),
         (EVENT, {"schedule": ImitationSchedule(CONFIG.elite, enabled=False)}, "never falls due in this run"),
         (EVENT, {"schedule": ImitationSchedule(replace(CONFIG.elite, enabled=False))}, "never falls due in this run"),
+        (EVENT, {"since": None}, "event 1 came while agents share their actors"),
+        (EVENT, {"since": 5 * DUE}, f"event 1 falls due at episode {6 * DUE}, not {DUE}"),
         (EVENT, {"epoch": 4}, "another start of the learner"),
         (EVENT, {"name": "other"}, "another coordinator leads"),
     ],

@@ -14,7 +14,6 @@ COUNT = """
 import json, sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-from eia_sec.common.config.algorithms import switched
 from eia_sec.common.config.presets import preset
 from eia_sec.learner.process.warm_up import warm_up
 from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
@@ -27,10 +26,8 @@ def compiled():
             functions |= {f"{name}.{n}": f for n, f in vars(module).items() if isinstance(f, Dispatcher)}
     return {name: len(function.signatures) for name, function in functions.items()}
 
-base = preset("eia-sec")
-config = replace(
-    base, algorithm=switched(base.algorithm, sys.argv[1]), replay=replace(base.replay, warmup_steps=0)
-)
+base = preset("eia-sec").with_algorithm(sys.argv[1])
+config = replace(base, replay=replace(base.replay, warmup_steps=0))
 collector = Collector(config, "0", 0)
 before = compiled()
 if sys.argv[2] == "warmed up":
