@@ -105,7 +105,7 @@ class ToyEnvironments:
         self.team, self.chunk_steps = TEAM, 4
         self.environments = SimpleNamespace(spec=ENVIRONMENT, time=np.zeros(1, np.int64))
         self.environment_steps = self.simulated = 0
-        self.probe = None
+        self.probe, self.alarm = None, ""
         self._number = self._since = self._episodes = 0
 
     def collect(self, actors: TeamActors, noise_std: float, uniform: bool, goes_on: Callable[[], bool]) -> Chunk:
