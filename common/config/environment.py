@@ -45,7 +45,8 @@ class EnvConfig:
         within(0.0, 1e6, step_timeout=self.step_timeout)
         module, colon, member = self.name.partition(":")
         parts = [*module.split("."), *member.split(".")] if colon else [self.name]
-        if not (self.served or all(part.isidentifier() for part in parts)):
+        elsewhere = self.name.startswith(ZENOH)
+        if not (self.served if elsewhere else all(part.isidentifier() for part in parts)):
             raise ConfigError(f"env.name must be farm, module:name or zenoh:NAME, not {self.name!r}.")
         self.keywords()
         freeze(self, "types")

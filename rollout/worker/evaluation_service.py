@@ -41,7 +41,7 @@ class EvaluationService:
         cancelled: Callable[[], bool],
     ) -> None:
         self._config, self._store, self._cancelled = config, store, cancelled
-        self._orders = control.serve(keys.EVALUATION.key(run, worker=worker), CAPACITY)
+        self._orders = control.serve(keys.EVALUATION.key(run, worker=worker), CAPACITY, newest=True)
         self._waiting: Incoming | None = None
         self.episodes = 0
 

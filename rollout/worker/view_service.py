@@ -59,7 +59,7 @@ class ViewService:
         toml: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY)
+        self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY, newest=True)
         self._publisher = bus.publish(keys.VIEW.key(run, worker=worker))
         self._sender = ("rollout", worker, incarnation)
         self._collector, self._clock = collector, clock

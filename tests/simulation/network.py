@@ -291,8 +291,8 @@ class SimulatedBus:
     def __init__(self, network: Network, process: Process) -> None:
         self._network, self._process, self._closed = network, process, False
 
-    def serve(self, key: str, capacity: int) -> Server:
-        """Receive requests."""
+    def serve(self, key: str, capacity: int, *, newest: bool = False) -> Server:
+        """Receive requests; there is no limit to those that wait."""
         server = Server()
         self._network.servers.append((self._process, key, server))
         return server

@@ -103,6 +103,20 @@ def test_who_asks_without_end_does_not_keep_the_server() -> None:
     assert [incoming.key for incoming in server.waiting()] == ["a/x"] * 3
 
 
+def test_a_server_of_the_newest_requests_keeps_its_link_free(pair: tuple[Bus, Bus]) -> None:
+    """While nobody takes its requests, the session still gets the answers to its own; the oldest requests end."""
+    listener, client = pair
+    echo(listener, "a/*")
+    server = client.serve("t/busy", 3, newest=True)
+    until(lambda: client.ask("a/x", b"1", 2.0))
+    asked = [listener.request("t/busy", bytes([number]), 30.0) for number in range(40)]
+    assert client.request("a/x", b"1", 5.0).answer() == b"1"
+    assert [request.answer() for request in asked[:37]] == [None] * 37
+    for incoming in server.waiting():
+        incoming.reply(incoming.payload)
+    assert [request.answer() for request in asked[37:]] == [bytes([number]) for number in (37, 38, 39)]
+
+
 def test_closing_ends_an_asker(pair: tuple[Bus, Bus]) -> None:
     """A thread that waits for an answer is let go when its bus is closed."""
     listener, client = pair
