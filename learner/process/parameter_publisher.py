@@ -23,9 +23,9 @@ class ParameterPublisher:
         self._published = -1
 
     @property
-    def has_unpublished_changes(self) -> bool:
-        """Whether the actors have changed since they were last published."""
-        return self._published != self._trainer.changes
+    def unpublished(self) -> int:
+        """How often the actors have changed since they were last published."""
+        return self._trainer.changes - self._published
 
     def publish_parameters(self) -> None:
         """Publish the present actors under the trainer's present version."""

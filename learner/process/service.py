@@ -234,12 +234,12 @@ class Learner:
 
     def _on_imitation(self, event: ImitationEvent) -> None:
         self._reporter.log_imitation(event)
-        self._publish(imitated=True)
+        self._publish(imitated=self._publisher.unpublished == 1)
 
     def _publish(self, *, imitated: bool = False) -> None:
         self._schedule.publish_timer.restart(monotonic())
         every_turn = self._options.lockstep and not self.trainer.publishes_at_once
-        if self._publisher.has_unpublished_changes or every_turn:
+        if self._publisher.unpublished or every_turn:
             updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
             # Before any worker can fly with it.
             version = self.trainer.next_version()

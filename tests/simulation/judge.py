@@ -80,6 +80,7 @@ class Judge:
             whole = config.on_policy.iteration_steps
             self.require(into < whole or draining, f"{name} enters an iteration of {whole} steps that holds {into}.")
             age = trainer.version + int(trainer.updates_due() > 0) - version
+            age -= sum(newer > version for newer in trainer.by_imitation)
             most = config.on_policy.max_lag_versions
             self.require(age <= most + 1 or draining, f"{name} is {age} versions old where {most} are allowed.")
 

@@ -155,6 +155,7 @@ class ToyTrainer(Trainer):
     Attributes:
         absorbed: the chunks in it, in order, each with the version that it bore.
         imitated: the numbers of the events in it.
+        by_imitation: versions that differ from the ones before by an imitation event alone.
         iterations: iterations done (on policy).
         held, following: steps in the running iteration and in the next one.
         process: who trains.
@@ -168,6 +169,8 @@ class ToyTrainer(Trainer):
         self.publishes_at_once = self._on_policy  # type: ignore[misc]  # a class attribute of the product's trainers
         self.absorbed: list[tuple[str, int, int]] = []
         self.imitated: list[int] = []
+        self.by_imitation: list[int] = []
+        self._published = -1
         self.iterations = self.held = self.following = self._left = 0
         self._flat = TeamActors.initial(team, HIDDEN, config.seed, per_type=False).flat
 
@@ -239,6 +242,14 @@ class ToyTrainer(Trainer):
         if applied:
             self.imitated.append(event.event)
         return applied
+
+    def next_version(self) -> int:
+        """Note what the new version differs by."""
+        version = super().next_version()
+        if self.iterations == self._published:
+            self.by_imitation.append(version)
+        self._published = self.iterations
+        return version
 
     def statistics(self) -> dict[str, float]:
         """Return nothing."""
