@@ -122,7 +122,8 @@ def command(arguments: Sequence[str]) -> int:
     if finished and options.settings.env.served:
         # A robot moves only as long as it was asked to.
         again = f"eia-sec evaluate --run-dir {directory.path} --env {shlex.quote(options.settings.env.name)}"
-        console.print(f"finished; evaluate with: {again} --endpoint {endpoint}", highlight=False, soft_wrap=True)
+        own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
+        console.print(f"finished; evaluate with: {again} --endpoint {endpoint}{own}", highlight=False, soft_wrap=True)
     elif finished and options.report:
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
