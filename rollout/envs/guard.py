@@ -20,7 +20,7 @@ import time
 import traceback
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -45,6 +45,9 @@ SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD, 
 """Signals that this process's own handlers get, whatever an environment installs."""
 SHOWN: Final = 100
 """Most characters of a user's value in a sentence."""
+
+LONGEST: Final = 4000
+"""Most characters of a user's exception."""
 
 By: TypeAlias = Mapping[Any, Any]
 """Values by the name of an agent."""
@@ -128,8 +131,7 @@ class Guard:
             named = isinstance(agents, Sequence) and not isinstance(agents, str) and len(agents) > 0
             self._require("possible_agents", named, agents, "a list of all agents' names")
             self.possible_agents = list(agents or ())
-            unique = len(set(self.possible_agents)) == len(self.possible_agents)
-            self._require("possible_agents", unique, agents, "each agent's name once")
+            self._require("possible_agents", _are_unique(self.possible_agents), agents, "each agent's name once")
 
     def observation_space(self, agent: Any) -> spaces.Space[Any]:
         """Return an agent's observation space."""
@@ -147,6 +149,7 @@ class Guard:
             self._require(method, _are_mappings(found, 2), found, wanted)
             observations, infos = found
             self._follow(method, observations, infos)
+            self._require("agents", bool(self.agents), self.agents, "at least one living agent after reset()")
         return observations, infos
 
     def ahead(self, actions: By) -> None:
@@ -167,7 +170,23 @@ class Guard:
             observations, rewards, terminations, truncations, infos = found
             numbers = {name: self._reward(name, rewards[name]) for name in actions if name in rewards}
             self._follow(method, observations, infos)
-        return Step(observations, numbers, terminations, truncations, infos)
+            acted = actions.keys() & set(self.agents)
+            for what, given in (("reward", rewards), ("termination", terminations), ("truncation", truncations)):
+                if missing := acted - given.keys():
+                    self._require(method, False, given, f"a {what} of agent {min(missing, key=str)}")
+            terminated, truncated = self._flags("termination", terminations), self._flags("truncation", truncations)
+        return Step(observations, numbers, terminated, truncated, infos)
+
+    def _flags(self, what: str, given: By) -> Mapping[Any, bool]:
+        """Return what terminations or truncations say; raise ContractError unless each is a truth value."""
+        found = {}
+        for name, value in given.items():
+            if not isinstance(value, bool | np.bool_):
+                truth = np.ndim(value) == 0 and not isinstance(value, str | bytes) and value is not None
+                fits = truth and value in (0, 1)
+                self._require("step()", fits, value, f"True or False as the {what} of agent {name}")
+            found[name] = bool(value)
+        return found
 
     def close(self) -> None:
         """Release what the environment holds; what it raises meanwhile is logged, because nothing depends on it."""
@@ -196,7 +215,7 @@ class Guard:
         """Take over the living agents, of which each must be seen."""
         self._require(method, _are_mappings([*infos.values()]), infos, "a dictionary as each agent's info")
         agents = getattr(self.wrapped, "agents", None)
-        known = isinstance(agents, Sequence) and set(agents) <= set(self.possible_agents)
+        known = isinstance(agents, Sequence) and _are_unique(agents) and set(agents) <= set(self.possible_agents)
         self._require("agents", known, agents, f"a list of the living ones among possible_agents after {method}")
         self.agents = list(agents or ())
         for name in self.agents:
@@ -288,9 +307,11 @@ def calling(name: str, method: str) -> Iterator[str]:
             f"{_own_traceback(error)}{name}: {method} ended the program with exit code {error.code}; code that is "
             'imported must neither exit nor parse arguments outside of `if __name__ == "__main__"`.'
         ) from error
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise EnvironmentFaultError(
-            f"{_own_traceback(error)}{name}: {method} raised {type(error).__name__}: {error}"
+            f"{_own_traceback(error)}{name}: {method} raised {type(error).__name__}: {_said(error)}"
         ) from error
     finally:
         Guard.running = None
@@ -377,13 +398,26 @@ def _restore(handlers: tuple[dict[int, Any], set[int]]) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, handlers[1])
 
 
+def _said(error: BaseException) -> str:
+    """Return the text of a user's exception, cut to LONGEST characters."""
+    try:
+        text = str(error)
+    except BaseException as worse:  # a user's __str__ may raise anything
+        text = f"(its text raised {type(worse).__name__})"
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
 def _own_traceback(error: BaseException) -> str:
-    """Return the traceback without this package's frames."""
+    """Return the traceback without this package's frames, and without lines that are too long for a screen."""
     whole = traceback.TracebackException.from_exception(error)
     hidden = __file__, importlib.__file__
     own = [part for part in whole.stack if part.filename not in hidden and not part.filename.startswith("<frozen")]
     whole.stack = traceback.StackSummary.from_list(own)
-    return "".join(whole.format())
+    return "".join(line if len(line) <= LONGEST else f"{line[:LONGEST]}...\n" for line in whole.format())
+
+
+def _are_unique(names: Sequence[Any]) -> bool:
+    return all(isinstance(name, Hashable) for name in names) and len(set(names)) == len(names)
 
 
 def _are_mappings(found: Any, count: int | None = None) -> bool:

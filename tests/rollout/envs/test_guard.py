@@ -54,6 +54,13 @@ def tried(name, **arguments):
         ("list", r"step\(\) gave array\(\[1.\]\); PettingZoo asks for one number as the reward of agent keeper_0"),
         ("huge", r"step\(\) returned a reward of 3e\+07 for agent keeper_0; the largest is 1e\+07: scale .* down"),
         ("nan", r"step\(\) returned a reward of nan for agent keeper_0; .*return a finite number"),
+        ("rewardless", r"step\(\) gave {.*}; PettingZoo asks for a reward of agent keeper_0"),
+        ("endless", r"step\(\) gave {.*}; PettingZoo asks for a termination of agent keeper_0"),
+        ("texts", r"step\(\) gave 'False'; PettingZoo asks for True or False as the truncation of agent keeper_0"),
+        ("flags", r"step\(\) gave array\(\[ True, False\]\); .* as the truncation of agent keeper_0"),
+        ("alive twice", r"agents gave .*; PettingZoo asks for a list of the living ones among possible_agents"),
+        ("nobody", r"agents gave \[\]; PettingZoo asks for at least one living agent after reset\(\)"),
+        ("lists", r"possible_agents gave .*; PettingZoo asks for each agent's name once"),
         ("far", r"step\(\) returned an observation of agent runner_1 with 2.5e\+07 at index 1; .* 1e\+07: divide it"),
         ("infinite", r"step\(\) returned an observation of agent runner_1 with inf at index 1; .*return finite"),
         ("short", r"step\(\) returned the observation array\(\[0.\]\) of agent runner_1, but 1 numbers; .* Box"),
@@ -70,6 +77,22 @@ def test_an_observation_that_is_too_large_names_its_agent():
     """The remedy is named, too."""
     with pytest.raises(ConfigError, match=r"agent keeper_0 has 164,430 numbers, .* images must be made smaller"):
         tried("toy_faults:Wrong", what='"pixels"')
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (GeneratorExit(), r"step\(\) raised GeneratorExit: $"),
+        (BaseException("base"), r"step\(\) raised BaseException: base$"),
+        (ValueError("x" * 10**7), rf"step\(\) raised ValueError: x{{{guard.LONGEST}}}\.\.\.$"),
+        (type("Mute", (Exception,), {"__str__": None})(), r"step\(\) raised Mute: \(its text raised TypeError\)$"),
+    ],
+)
+def test_an_exception_of_any_shape_is_one_of_the_users(error, text):
+    """What ends no process, has no text or one without end is shown like any other."""
+    with pytest.raises(EnvironmentFaultError, match=text) as caught, guard.calling("a:b", "step()"):
+        raise error
+    assert len(str(caught.value)) < 4 * guard.LONGEST
 
 
 @pytest.mark.parametrize("where", ["construction", "observation_space", "reset", "step"])

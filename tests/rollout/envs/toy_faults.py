@@ -59,6 +59,8 @@ class Wrong(Relay):
         self.what = what
         if what == "twice":
             self.possible_agents = ["runner_0", "runner_0", "keeper_0"]
+        if what == "lists":
+            self.possible_agents = ["runner_0", ["runner_1"], "keeper_0"]
 
     def observation_space(self, agent):
         found = super().observation_space(agent)
@@ -74,6 +76,8 @@ class Wrong(Relay):
             return seen
         if self.what == "unseen":
             del seen["keeper_0"]
+        if self.what in ("alive twice", "nobody"):
+            self.agents = [] if self.what == "nobody" else [*self.agents, self.agents[0]]
         if self.what == "infos":
             infos["runner_1"] = None
         return seen, infos
@@ -83,6 +87,12 @@ class Wrong(Relay):
         if self.what == "four":
             return seen, rewards, others[0], others[2]
         rewards["keeper_0"] = {"none": None, "list": np.ones(1), "huge": 3e7, "nan": np.nan}.get(self.what, 1.0)
+        if self.what == "rewardless":
+            del rewards["keeper_0"]
+        if self.what == "endless":
+            del others[0]["keeper_0"]
+        if self.what in ("texts", "flags"):
+            others[1]["keeper_0"] = "False" if self.what == "texts" else np.array([True, False])
         if self.what in ("far", "infinite"):
             seen["runner_1"][1] = 2.5e7 if self.what == "far" else np.inf
         if self.what == "short":
