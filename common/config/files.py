@@ -25,6 +25,7 @@ from eia_sec.common.config.farm.zones import MAX_ZONES, Zones
 from eia_sec.common.config.maps import without_entries
 from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.regular_files import read_regular_text
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
@@ -207,7 +208,7 @@ def format_value(value: Value | Area | Mapping[str, Value]) -> str:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_regular_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"the configuration file {path} cannot be read: {reason}.") from error

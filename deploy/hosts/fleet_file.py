@@ -21,6 +21,7 @@ from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.names import check_name
 from eia_sec.common.protocol.message_sizes import require_frames
+from eia_sec.common.regular_files import read_regular_text
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.options import base_configuration, with_settings
 
@@ -180,7 +181,7 @@ def read(path: Path) -> FleetSpec:
         ConfigError: the file cannot be read, is not TOML, or has an impossible value; the message names the key.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(read_regular_text(path))
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"the fleet file {path} cannot be read: {reason}.") from error
