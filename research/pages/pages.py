@@ -12,6 +12,7 @@ from eia_sec.deploy.reports.farm_plots import draw_densities
 from research.pages import (
     environment_protocol_tables,
     environment_tables,
+    incidents,
     monitoring_tables,
     reliability_table,
     reproduce_tables,
@@ -40,7 +41,10 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "README.md": _measured("results", "distribution"),
     "docs/explanation/capacity.md": _measured("capacity"),
     "docs/explanation/method.md": _measured("forms"),
-    "docs/explanation/reliability.md": {"faults": reliability_table.faults},
+    "docs/explanation/reliability.md": {
+        "faults": reliability_table.faults,
+        "met": partial(incidents.incidents, incidents.RELIABILITY),
+    },
     "docs/explanation/reproduce.md": reproduce_tables.BLOCKS,
     "docs/how-to/debug_training.md": _measured("checkpoint"),
     "docs/how-to/hosts.md": _measured("hosts"),
@@ -68,6 +72,7 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "docs/reference/security.md": {
         "access": _declared(security_tables.access_table),
         "limits": _declared(security_tables.limits_table),
+        "met": partial(incidents.incidents, incidents.SECURITY),
     },
     "research/results/README.md": _measured("default-run", "paper-preset"),
 }
