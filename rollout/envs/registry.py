@@ -164,10 +164,10 @@ def _try(environments: Environments) -> None:
 def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
     """Return the description; raise ConfigError if it cannot be trained."""
     _require_actions(config, spec.team)
-    if config.env.served and config.imitates and config.elite.enabled:
+    if config.env.served and config.imitates and config.elite.farms:
         raise ConfigError(
-            f"{config.algorithm.name} evaluates elites beside training, which environments that others serve do not "
-            "allow: add --elite.no-enabled, or choose another algorithm."
+            f"elite.farms {config.elite.farms} evaluates elites beside training, which environments that others serve "
+            "do not allow: add --elite.farms 0, which scores agents by their rewards in training."
         )
     require_frames(config, spec)
     return spec

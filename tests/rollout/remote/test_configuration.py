@@ -28,13 +28,14 @@ def test_a_name_that_no_environment_can_have_is_refused(name: str) -> None:
         EnvConfig(name)
 
 
-def test_elite_imitation_is_refused_and_the_way_out_is_named() -> None:
-    """It would evaluate beside training; with imitation switched off, the same algorithm is taken."""
+def test_evaluations_of_elites_are_refused_and_the_way_out_is_named() -> None:
+    """It would evaluate beside training; with scores from training itself, the same algorithm is taken."""
     config = preset("eia-sec").with_environment("zenoh:site-*")
-    with pytest.raises(ConfigError, match=r"--elite\.no-enabled"):
+    with pytest.raises(ConfigError, match=r"--elite\.farms 0"):
         served_spec(config, TEAM)
-    off = replace(config, elite=replace(config.elite, enabled=False))
-    assert served_spec(off, TEAM).team == TEAM
+    scored = replace(config, elite=replace(config.elite, farms=0))
+    assert scored.imitates
+    assert served_spec(scored, TEAM).team == TEAM
 
 
 def test_where_nothing_is_reached_a_sentence_says_which_commands_do() -> None:
