@@ -9,6 +9,7 @@ EiaSecError
 │   ├── PolicyError            a policy name or file that cannot be used
 │   ├── ContractError          an environment that does something else than PettingZoo asks for
 │   ├── EnvironmentFaultError  an exception in a user's environment, with its traceback
+│   ├── PluginError            a plug-in that cannot be used, or an exception in one
 │   └── CallbackError          something that is no callback, or an exception in one
 ├── ProtocolError              received data that violates the protocol
 │   ├── FrameError             bytes that are not a frame: truncated, corrupted, oversized
@@ -64,6 +65,10 @@ class ContractError(UsageError):
 
 class EnvironmentFaultError(UsageError):
     """An exception in a user's environment; the message holds the traceback of the user's own code."""
+
+
+class PluginError(UsageError):
+    """A plug-in that cannot be used, or an exception in its code; the message names plug-in, class and method."""
 
 
 class CallbackError(UsageError):

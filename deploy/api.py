@@ -2,15 +2,18 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from eia_sec.common import plugins as plugin_registry
 from eia_sec.common import policy_file
 from eia_sec.common.callbacks import Callback, require_callbacks
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.config.environment import FARM, EnvConfig
 from eia_sec.common.config.files import with_values
+from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import preset as preset_named
 from eia_sec.common.config.presets import preset_for
 from eia_sec.common.errors import ConfigError
@@ -39,6 +42,7 @@ def train(
     workers: int = 0,
     settings: Settings | None = None,
     callbacks: Sequence[Callback] = (),
+    plugins: Sequence[str] = (),
     run_dir: str | Path | None = None,
     connect: str | None = None,
     run: str = "train",
@@ -61,6 +65,7 @@ def train(
         workers: rollout processes on this machine; 0 trains in this process.
         settings: what differs besides, by dotted names as after `--set`: `{"algorithm.hidden": 128}`.
         callbacks: called while it trains, see `eia_sec.Callback`.
+        plugins: names of plug-ins to load, as `--plugin` takes them; their callbacks are called, too.
         run_dir: run directory, new or empty, for configuration, metrics and policy, and with workers for checkpoints
             and logs. By default none in this process, and with workers runs/PRESET-TIME.
         connect: endpoint of a router, `tcp/host:7447` for one, through which workers of other machines join.
@@ -72,6 +77,8 @@ def train(
     """
     require_callbacks(callbacks)
     within(0, 1024, workers=workers)
+    for name in plugins:
+        plugin_registry.load(name)
     elsewhere = workers > 0 or connect is not None
     chosen = _whole(environment, preset, elsewhere=elsewhere)
     if algorithm:
@@ -79,9 +86,10 @@ def train(
     budget = {name: value for name, value in (("steps", steps), ("episodes", episodes)) if value}
     own: dict[str, Any] = budget | ({} if seed is None else {"seed": seed})
     config = with_values(with_values(chosen, dict(settings or {})), own)
+    config = replace(config, plugins=PluginNames(plugins))
     folder = None if run_dir is None else Path(run_dir)
     if not elsewhere:
-        return train_here(config, folder, callbacks)
+        return train_here(config, folder, [*callbacks, *plugin_registry.callbacks(plugins)])
     if folder is None:
         named = preset or (preset_for(config.env.name) if not isinstance(environment, RunConfig) else run)
         folder = new_folder(Path("runs"), f"{named}-{time.strftime('%Y%m%d-%H%M%S')}")
@@ -159,5 +167,5 @@ def _whole(environment: str | Callable[..., Any] | RunConfig, preset: str, *, el
     """Return the configuration that a program begins from."""
     if isinstance(environment, RunConfig):
         return environment
-    name = environment_name(environment, elsewhere=elsewhere)
+    name = plugin_registry.environment(environment_name(environment, elsewhere=elsewhere))
     return preset_named(preset or preset_for(name)).with_environment(name)

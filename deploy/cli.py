@@ -79,6 +79,8 @@ COMMANDS: Final = {
 
 LOG_FORMAT: Final = ("--log-format", "--log_format")
 """Spellings of the option that every command has."""
+PLUGIN: Final = "--plugin"
+ENV: Final = ("--env", "--env.name")
 
 
 def overview() -> str:
@@ -87,6 +89,7 @@ def overview() -> str:
     hints = [
         "eia-sec COMMAND --help shows its options.",
         "Each command takes --log-format text or json: how it and the processes that it starts write their logs.",
+        "Each command takes --plugin NAME, any number of times: a package of yours whose code it runs.",
     ]
     return "\n".join(["usage: eia-sec COMMAND [OPTIONS]", "", *lines, "", *hints])
 
@@ -110,12 +113,52 @@ def without_log_format(arguments: list[str]) -> list[str]:
     return [*arguments[:place], *arguments[end:]]
 
 
+def without_plugins(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Return a command line without `--plugin NAME`, and the names.
+
+    Raises:
+        UsageError: an option has no name.
+    """
+    rest: list[str] = arguments[:1]
+    named: list[str] = []
+    words = iter(arguments[1:])
+    for word in words:
+        option, equals, value = word.partition("=")
+        if option != PLUGIN:
+            rest.append(word)
+            continue
+        name = value if equals else next(words, "")
+        if not name or name.startswith("-"):
+            raise UsageError("--plugin needs the name of a module or of an installed plug-in.")
+        named.append(name)
+    return rest, named
+
+
+def with_plugins(arguments: list[str], named: list[str]) -> list[str]:
+    """Load plug-ins; return the command line with their environments' names written out as module:name.
+
+    Raises:
+        PluginError: one cannot be used.
+    """
+    plugins = importlib.import_module("eia_sec.common.plugins")
+    for name in named:
+        plugins.load(name)
+    found = list(arguments)
+    for place, word in enumerate(arguments):
+        option, equals, value = word.partition("=")
+        if option in ENV and equals:
+            found[place] = f"{option}={plugins.environment(value)}"
+        elif place and arguments[place - 1] in ENV:
+            found[place] = plugins.environment(word)
+    return found
+
+
 def dispatch(arguments: list[str]) -> int:
     """Run one command line; raise UsageError for a word that is no command."""
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         sys.stdout.write(overview() + "\n")
         return 0 if arguments else 2
-    arguments = without_log_format(arguments)
+    arguments, named = without_plugins(without_log_format(arguments))
     command = COMMANDS.get(arguments[0])
     if command is None:
         raise UsageError(f"unknown command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
@@ -123,6 +166,8 @@ def dispatch(arguments: list[str]) -> int:
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
     keep_freed_memory()
+    if named:
+        arguments = with_plugins(arguments, named)
     return int(_load(command.module).command(arguments[1:]) or 0)
 
 

@@ -19,6 +19,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from eia_sec.common import plugins
 from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
 from eia_sec.common.config.environment import FARM
@@ -27,6 +28,7 @@ from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import from_toml, with_setting
 from eia_sec.common.config.maps import FrozenMap
+from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import PRESETS, preset, preset_for
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
@@ -51,8 +53,8 @@ NO_FARM: Final = "--farm-file needs the farm, and this run uses {}."
 
 @_REGISTRY.struct_rule
 def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Make no option for sensor positions, zones and areas: there may be thousands, and `--farm-file` reads them."""
-    return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones, Areas) else None
+    """Make no option for sensor positions, zones and areas, which `--farm-file` reads, nor for plug-ins."""
+    return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones, Areas, PluginNames) else None
 
 
 @_REGISTRY.primitive_rule
@@ -102,6 +104,8 @@ def base_configuration(arguments: Sequence[str]) -> RunConfig:
     for option in ("episodes", "steps"):
         if value := _value_of(arguments, f"--{option}"):
             config = with_setting(config, f"{option}={value}")
+    if plugins.loaded():
+        config = replace(config, plugins=plugins.loaded())
     return with_farm_file(config, Path(farm_file)) if farm_file else config
 
 

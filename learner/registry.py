@@ -1,7 +1,18 @@
-"""Every algorithm by its name. To add one, write its file and add a line here and in `eia_sec.common.config`."""
+"""Every algorithm by its name. To add one, write its file and add a line here and in `eia_sec.common.config`.
 
+Those of plug-ins are found here as well. An exception in a method of theirs becomes one sentence that names plug-in,
+class and method.
+"""
+
+import functools
+from collections.abc import Callable
 from typing import Any, Final
 
+from torch import Tensor
+
+from eia_sec.common import plugins
+from eia_sec.common.config import AlgorithmConfig, OnPolicyConfig
+from eia_sec.common.errors import PluginError
 from eia_sec.learner.off_policy.algorithm import Algorithm
 from eia_sec.learner.off_policy.eia_sec import EiaSec
 from eia_sec.learner.off_policy.maddpg import Maddpg
@@ -10,7 +21,8 @@ from eia_sec.learner.off_policy.matd3 import Matd3
 from eia_sec.learner.on_policy.eia_ppo import EiaPpo
 from eia_sec.learner.on_policy.ippo import Ippo
 from eia_sec.learner.on_policy.mappo import Mappo
-from eia_sec.learner.on_policy.ppo import Ppo
+from eia_sec.learner.on_policy.ppo import ActorLoss, Ppo
+from eia_sec.learner.on_policy.values import GroupValue
 
 OFF_POLICY: Final[dict[str, type[Algorithm[Any]]]] = {
     "eia-sec": EiaSec,
@@ -25,3 +37,71 @@ ON_POLICY: Final[dict[str, type[Ppo]]] = {
     "eia-ppo": EiaPpo,
 }
 """Algorithms that learn in iterations; `eia_sec.common.config.ALGORITHM_CONFIGS` has the options of both families."""
+
+RETURNED: Final[dict[str, tuple[type, ...]]] = {
+    "value_function": (GroupValue,),
+    "surrogate": (Tensor,),
+    "actor_loss": (ActorLoss,),
+    "value_loss": (Tensor,),
+    "critic_loss": (Tensor,),
+    "update": (tuple, type(None)),
+}
+"""What methods that a plug-in's algorithm may override return."""
+
+
+def on_policy(name: str) -> type[Ppo]:
+    """Return the class of an algorithm that learns on policy; raise PluginError if it cannot be used."""
+    found: type[Ppo] = ON_POLICY[name] if name in ON_POLICY else _of_plugin(name, Ppo)
+    return found
+
+
+def off_policy(name: str) -> type[Algorithm[Any]]:
+    """Return the class of an algorithm that learns from a replay buffer; raise PluginError if it cannot be used."""
+    found: type[Algorithm[Any]] = OFF_POLICY[name] if name in OFF_POLICY else _of_plugin(name, Algorithm)
+    return found
+
+
+def require_algorithm(config: AlgorithmConfig) -> None:
+    """Raise PluginError unless the algorithm's class can be used."""
+    if isinstance(config, OnPolicyConfig):
+        on_policy(config.name)
+    else:
+        off_policy(config.name)
+
+
+def _of_plugin(name: str, base: Any) -> Any:
+    found = plugins.algorithm(name)
+    assert found is not None  # else its configuration would not exist
+    plugin, kind = found
+    if not issubclass(kind, base):
+        raise PluginError(
+            f"plug-in {plugin}: {kind.__qualname__} must derive from {base.__module__}.{base.__qualname__}, because "
+            f"the options of {name} are those of an algorithm that learns {'on' if base is Ppo else 'off'} policy."
+        )
+    if abstract := sorted(getattr(kind, "__abstractmethods__", ())):
+        raise PluginError(f"plug-in {plugin}: {kind.__qualname__} lacks the method {abstract[0]}.")
+    own = {each for part in kind.__mro__ if part.__module__.partition(".")[0] != "eia_sec" for each in vars(part)}
+    where = f"plug-in {plugin}: {kind.__module__}.{kind.__qualname__}"
+    guarded = {
+        method: _guarded(getattr(kind, method), f"{where}.{method}", wanted)
+        for method, wanted in RETURNED.items()
+        if method in own
+    }
+    return type(kind.__name__, (kind,), guarded)
+
+
+def _guarded(method: Callable[..., Any], where: str, wanted: tuple[type, ...]) -> Callable[..., Any]:
+    """Return a user's method whose exceptions and results are named."""
+
+    @functools.wraps(method)
+    def call(*given: Any, **named: Any) -> Any:
+        try:
+            found = method(*given, **named)
+        except Exception as error:  # a user's method may raise anything
+            raise PluginError(f"{where} raised {type(error).__name__}: {error}") from error
+        if not isinstance(found, wanted):
+            names = " or ".join(each.__name__ for each in wanted)
+            raise PluginError(f"{where} returned a {type(found).__name__}, and must return a {names}.")
+        return found
+
+    return call

@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
+from eia_sec.common import plugins
 from eia_sec.common.actors import TeamActors, can_fly
 from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.errors import PolicyError
@@ -161,17 +162,22 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
 
 
 def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
-    """Return a policy for a run's environment: on the farm as `policy_of`, elsewhere random or a policy file.
+    """Return a policy for a run's environment: a plug-in's heuristic, or else as `policy_of`, random or a file.
 
     Raises:
         PolicyError: the policy does not exist or cannot be used.
     """
+    found: BatchPolicy[Any] | None = plugins.heuristic(name)
+    if found is not None:
+        return found
     if (farm := farm_of(config)) is not None:
         return policy_of(name, farm)
     if name == "random":
         return RandomPolicy()
     if not is_file(Path(name)):
-        raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
+        raise PolicyError(
+            f"outside the farm there is no policy {name!r}: give random, a policy file, or a heuristic of a plug-in."
+        )
     return ActorPolicy(load_policy(Path(name))[0])
 
 

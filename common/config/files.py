@@ -23,6 +23,7 @@ from eia_sec.common.config.farm.sites import MAX_SENSORS, Sites
 from eia_sec.common.config.farm.stress import MAX_AREAS, Area, Areas
 from eia_sec.common.config.farm.zones import MAX_ZONES, Zones
 from eia_sec.common.config.maps import without_entries
+from eia_sec.common.config.plugin_names import PluginNames, require_loaded
 from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.regular_files import read_regular_text
@@ -36,7 +37,7 @@ It rises when an option is renamed, removed or means something else, and when a 
 without it did."""
 _FORMAT_KEY: Final = "format"
 
-Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
+Value = bool | int | float | str | PluginNames | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
 """The value of an option."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
@@ -185,12 +186,16 @@ def digest(config: RunConfig) -> str:
 
 
 def method_of(config: RunConfig) -> RunConfig:
-    """Return the configuration without what a resumed run may change: `learner`, `evaluation` and `env.step_timeout`.
+    """Return the configuration without what a resumed run may change.
+
+    That is `learner`, `evaluation`, `env.step_timeout` and `plugins`, of which more may be named.
 
     They affect a run's speed, rounding and final evaluation, but not what is trained.
     """
     env = dataclasses.replace(config.env, step_timeout=EnvConfig.step_timeout)
-    return dataclasses.replace(config, env=env, learner=LearnerConfig(), evaluation=EvaluationConfig())
+    return dataclasses.replace(
+        config, env=env, learner=LearnerConfig(), evaluation=EvaluationConfig(), plugins=PluginNames()
+    )
 
 
 def format_value(value: Value | Area | Mapping[str, Value]) -> str:
@@ -227,6 +232,7 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     """Return the base with a file's values; the file's algorithm decides which options exist."""
     if _FORMAT_KEY in table:
         base, table = _without_maps(base), _of_this_format(table)
+    require_loaded(table.get("plugins"))
     if isinstance(name := _name_in(table, "env"), str):
         base = base.with_environment(name)
     if isinstance(name := _name_in(table, "algorithm"), str):
@@ -328,7 +334,12 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
         if value not in choices or type(value) is not type(choices[0]):
             raise ConfigError(f"{key} must be one of {', '.join(map(format_value, choices))}, not {_show(value)}.")
         return choices[choices.index(value)]
-    lists: dict[Any, Callable[[str, Any], Value]] = {Sites: _sites, Zones: _zones, Areas: _areas}
+    lists: dict[Any, Callable[[str, Any], Value]] = {
+        Sites: _sites,
+        Zones: _zones,
+        Areas: _areas,
+        PluginNames: _plugins,
+    }
     if wanted in lists:
         return lists[wanted](key, value)
     if get_origin(wanted) is tuple:
@@ -345,6 +356,13 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
         raise ConfigError(f"{key} must be {_TYPE_NAMES[wanted]}, not {_show(value)}.")
     converted: Value = value
     return converted
+
+
+def _plugins(key: str, value: Any) -> PluginNames:
+    """Return a TOML list of plug-ins' names."""
+    if not isinstance(value, list) or any(type(name) is not str for name in value):
+        raise ConfigError(f"{key} must be a list of names, not {_show(value)}.")
+    return PluginNames(value)
 
 
 def _sites(key: str, value: Any) -> Sites:

@@ -18,6 +18,7 @@ from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm import FarmConfig
 from eia_sec.common.config.maps import without_entries
 from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
+from eia_sec.common.config.plugin_names import NO_PLUGINS, PluginNames
 from eia_sec.common.errors import ConfigError
 
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
@@ -124,6 +125,8 @@ class RunConfig:
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    plugins: PluginNames = NO_PLUGINS
+    """Plug-ins that its processes load, as `--plugin` named them."""
 
     def __post_init__(self) -> None:
         """Refuse an empty run and sections that contradict each other."""

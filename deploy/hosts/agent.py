@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eia_sec.common.config.files import differences, method_of, read_saved
-from eia_sec.common.errors import HostError
+from eia_sec.common.errors import ConfigError, HostError
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
 from eia_sec.deploy.hosts.learner_move import RUN, holding
@@ -158,8 +158,10 @@ def _is_over(folder: Path) -> bool:
     run = RunDirectory(folder / RUN)
     if not (run.holds_run() and run.finished()):
         return False
-    wanted = read_saved(folder / CONFIG)
-    return not differences(method_of(run.configuration()), method_of(wanted))
+    try:
+        return not differences(method_of(run.configuration()), method_of(read_saved(folder / CONFIG)))
+    except ConfigError:
+        return False  # a plug-in's options, which this process does not know
 
 
 def _await_orphans(folder: Path) -> None:

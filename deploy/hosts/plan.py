@@ -109,13 +109,17 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
     resumed = "--resume-if-any" if places.begins else "--resume"
     kept = ("--run-dir", places.run_dir, *trained, resumed, "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
-    arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
+    arguments = ("learner", *_plugins(fleet), "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
 
 
 def _joining(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:
-    where = ("--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
+    where = (*_plugins(fleet), "--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
     return (*where, "--patience", PATIENCE, *_tls(fleet, places, who))
+
+
+def _plugins(fleet: FleetSpec) -> tuple[str, ...]:
+    return tuple(word for name in fleet.config.plugins for word in ("--plugin", name))
 
 
 def _tls(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:

@@ -80,7 +80,8 @@ class TrainingProcesses:
         """Start all processes."""
         plan, where, folder = self._plan, str(self._plan.endpoint), self._plan.directory.path
         met = ["--connect", where, "--patience", str(JOIN_SECONDS)] if plan.router else ["--listen", where]
-        learner = ["learner", "--run", plan.run, *met, "--run-dir", str(folder)]
+        named = [word for name in plan.config.plugins for word in ("--plugin", name)]
+        learner = ["learner", *named, "--run", plan.run, *met, "--run-dir", str(folder)]
         shared = ["--shared-memory"] if plan.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
         learner += ["--config", str(folder / CONFIG), "--await-elite"]
@@ -88,7 +89,7 @@ class TrainingProcesses:
         learner += ["--resume"] if plan.resume else []
         again = [] if plan.resume or plan.lockstep else ["--resume"]
         self.supervisor.start("learner", learner, plan.config.learner.threads, again)
-        joining = ["--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]
+        joining = [*named, "--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]
         self.supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
         allowed = ["--env", plan.config.env.name] if plan.config.env.is_third_party else []
         for index in range(plan.workers):

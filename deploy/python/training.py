@@ -1,6 +1,5 @@
 """Trains a run for a program, in its own process or by others, and calls its callbacks meanwhile."""
 
-import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -9,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from eia_sec.common.callbacks import SHOWN, Callback, TrainingProgress, call
+from eia_sec.common.callbacks import Callback, call
 from eia_sec.common.config import RunConfig
-from eia_sec.common.errors import BusError, ConfigError, RunDirError
+from eia_sec.common.errors import BusError, RunDirError
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import StopSignal
+from eia_sec.common.steered_progress import SteeredProgress
 from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.local.in_process import WORKER, train_with
@@ -37,43 +37,7 @@ CALL_SECONDS: Final = 1.0
 """Time between two calls of callbacks, where other processes train."""
 
 
-class _Progress(TrainingProgress):
-    """What both ways of training share.
-
-    Args:
-        config: the run.
-
-    Attributes:
-        stopped: whether a callback has stopped it.
-        reason: why.
-        arguments: the environment's present arguments.
-    """
-
-    def __init__(self, config: RunConfig) -> None:
-        self._config = config
-        self.stopped, self.reason = False, ""
-        self.arguments: dict[str, Any] = config.env.keywords()
-
-    def stop(self, reason: str = "") -> None:
-        self.stopped, self.reason = True, reason[:SHOWN] or "a callback stopped it"
-
-    def set_arguments(self, **arguments: Any) -> None:
-        if not self._config.env.is_third_party:
-            raise ConfigError(f"{self._config.env.name} takes no arguments that change while a run trains.")
-        wanted = {**self.arguments, **arguments}
-        try:
-            text = json.dumps(wanted)
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"the environment's arguments are no JSON: {error}.") from None
-        if wanted != self.arguments:
-            self._change(text)
-            self.arguments = wanted
-
-    def _change(self, arguments: str) -> None:
-        raise NotImplementedError
-
-
-class _InProcess(_Progress):
+class _InProcess(SteeredProgress):
     """Training in this process."""
 
     def __init__(self, config: RunConfig, collector: Collector) -> None:
@@ -111,7 +75,7 @@ class _InProcess(_Progress):
         self._collector.change_arguments(arguments)
 
 
-class _Elsewhere(_Progress):
+class _Elsewhere(SteeredProgress):
     """Training by other processes, as their learner's metrics tell."""
 
     def __init__(self, config: RunConfig, monitor: RunMonitor, ask: Callable[[str], None]) -> None:

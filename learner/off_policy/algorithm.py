@@ -148,6 +148,10 @@ class Algorithm(ABC, Generic[C]):
         continuation = (1.0 - batch.terminated) * batch.discount
         return torch.addcmul(batch.reward.t() * self.config.reward_scale, next_value, continuation)
 
+    def critic_loss(self, q: Tensor, target: Tensor) -> Tensor:
+        """Return the loss [] of critics whose values are q, [agents, B] or [critics, agents, B], for Y [agents, B]."""
+        return (q - target).square().mean(dim=-1).sum()
+
     def measured(self, q_value: Tensor, objective: Tensor, target: Tensor) -> Diagnostics:
         """Return the diagnostics that all algorithms have, after the update's steps; arguments are [agents, B]."""
         q_value, objective = q_value.detach(), objective.detach()

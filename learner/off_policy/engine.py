@@ -19,7 +19,7 @@ from eia_sec.learner.networks.compiled import usable_cores
 from eia_sec.learner.off_policy.algorithm import Batch, Diagnostics
 from eia_sec.learner.off_policy.captured_updates import CapturedUpdates
 from eia_sec.learner.off_policy.normalisation import Normalisation
-from eia_sec.learner.registry import OFF_POLICY
+from eia_sec.learner.registry import off_policy
 
 __all__ = ["Batch", "Diagnostics", "Engine"]
 
@@ -61,7 +61,7 @@ class Engine:
         if cores is None:
             cores = usable_cores(torch.get_num_threads()) if like.device.type == "cpu" else 0
         self.cores = cores
-        self.algorithm = OFF_POLICY[config.name](config, team, seed, like, cores=cores)
+        self.algorithm = off_policy(config.name)(config, team, seed, like, cores=cores)
         self.normalisation = Normalisation(
             team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
         )

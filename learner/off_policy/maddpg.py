@@ -36,7 +36,7 @@ class Maddpg(Algorithm[MaddpgConfig]):
 
         # 2. and 4. Critic loss, critic step, target critics
         (q,) = self.critics(inputs)
-        critic_loss = (q - target).square().mean(dim=1).sum()
+        critic_loss = self.critic_loss(q, target)
         self.critics.zero_grad()
         critic_loss.backward()
         self.critics.step(norms=diagnostics)

@@ -91,7 +91,7 @@ class Masac(Algorithm[MasacConfig]):
 
         # 2. and 5. Critic loss, critic step, target critics
         q = self.critics(inputs)
-        critic_loss = (q - target).square().mean(dim=2).sum()
+        critic_loss = self.critic_loss(q, target)
         self.critics.zero_grad()
         critic_loss.backward()
         self.critics.step(norms=diagnostics)

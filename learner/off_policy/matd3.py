@@ -47,7 +47,7 @@ class Matd3(Algorithm[Matd3Config]):
 
         # 2. and 4. Critic loss, critic step, target critics
         q = self.critics(inputs)
-        critic_loss = (q - target).square().mean(dim=2).sum()
+        critic_loss = self.critic_loss(q, target)
         self.critics.zero_grad()
         critic_loss.backward()
         self.critics.step(norms=diagnostics)

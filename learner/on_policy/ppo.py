@@ -73,6 +73,16 @@ class Ppo(ABC):
         """
         return name
 
+    def surrogate(self, ratio: Tensor, advantage: Tensor) -> Tensor:
+        """Return what actors maximise besides their entropy, of each sample [B, n].
+
+        Args:
+            ratio: pi(a | o) / pi_old(a | o), [B, n].
+            advantage: A, [B, n].
+        """
+        clip = self.config.clip
+        return torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+
     def actor_loss(self, kind: int, batch: Minibatch) -> ActorLoss:
         """Return the loss of a type's actors on a minibatch."""
         agents, config = self.team.agent_slices()[kind], self.config
@@ -83,7 +93,7 @@ class Ppo(ABC):
         # Beyond this the ratio overflows, and one sample would make every weight a NaN; its gradient is clipped anyway.
         log_ratio = (policy.log_probability - log_probability).clamp(max=MOST_LOG_RATIO)
         ratio, clip = log_ratio.exp(), config.clip
-        surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+        surrogate = self.surrogate(ratio, advantage)
         entropy = policy.entropy.mean()
         weight = batch.entropy_weight * self._scales.get(self.team.groups[kind].name, 1.0)
         loss = -surrogate.mean() - weight * entropy

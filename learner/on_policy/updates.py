@@ -41,7 +41,7 @@ from eia_sec.learner.on_policy.experience import Observations, split, split_acti
 from eia_sec.learner.on_policy.iteration_states import IterationStates
 from eia_sec.learner.on_policy.minibatch import Minibatch
 from eia_sec.learner.on_policy.normalisation import Scales
-from eia_sec.learner.registry import ON_POLICY
+from eia_sec.learner.registry import on_policy
 
 VALUE_BATCH = 4096
 """Rows whose values are computed at once."""
@@ -79,7 +79,7 @@ class Updates:
         self._dtype = product_dtype(config.precision, device)
         # The last layers' narrow products have float32 results; rounding their factors makes them several times faster.
         torch.set_float32_matmul_precision("medium" if self._dtype == torch.bfloat16 else "highest")
-        self.algorithm = ON_POLICY[config.name](config, team, seed, device)
+        self.algorithm = on_policy(config.name)(config, team, seed, device)
         self.policies, self.values = self.algorithm.policies, self.algorithm.values
         self._all_networks = (("actors", self.policies), ("values", nn.ModuleList(self.values)))
         rates = config.actor_rate, config.critic_rate

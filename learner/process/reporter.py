@@ -58,6 +58,11 @@ class Reporter:
         """Seconds since the run began, without the pauses between its starts."""
         return self._log.elapsed
 
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Rewards, episode metrics and diagnostics by TensorBoard's names."""
+        return flattened({"curves": self._curves.smoothed(), "statistics": self._trainer.statistics()})
+
     def add(self, metrics: MetricSource | None = None, alarms: AlarmSource | None = None) -> None:
         """Add a source of metrics, alarms or both, which every report then includes."""
         if metrics is not None:

@@ -5,6 +5,7 @@ from typing import Final
 
 import torch
 
+from eia_sec.common import plugins
 from eia_sec.common.clock import monotonic
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import to_toml
@@ -36,6 +37,7 @@ from eia_sec.learner.process.membership import Membership
 from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.parameter_publisher import ParameterPublisher
 from eia_sec.learner.process.phase_times import PhaseTimes
+from eia_sec.learner.process.plugin_callbacks import PluginCallbacks
 from eia_sec.learner.process.reporter import Reporter
 from eia_sec.learner.process.schedule import Schedule
 from eia_sec.learner.process.warm_up import warm_up
@@ -93,6 +95,9 @@ class Learner:
             crowding = AdmissionSource(options.endpoint)
             self._reporter.add(crowding.metrics, crowding.alarms)
         self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, monotonic())])
+        self._callbacks = PluginCallbacks(
+            config, plugins.callbacks(config.plugins), self.trainer, self._reporter, self._commands
+        )
         self._log_begin()
 
     def _log_begin(self) -> None:
@@ -269,6 +274,8 @@ class Learner:
         self._membership.update()
         self.receiver.throttle.release()
         self._reporter.report(self._state)
+        if self._state == "training":
+            self._callbacks.look()
 
     def _checkpoint(self, *, wait: bool = False) -> None:
         with self._times.measure("checkpoint"):
@@ -293,6 +300,7 @@ class Learner:
         self._publish_progress()
         self._checkpoint(wait=True)
         failure = self._storage.write_policy(self.trainer)
+        self._callbacks.end()
         self._report()
         self._reporter.log_end(state)
         log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")

@@ -12,7 +12,7 @@ from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows
 from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
 from eia_sec.learner.on_policy.advantages import advantages
-from eia_sec.learner.registry import OFF_POLICY
+from eia_sec.learner.registry import off_policy
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:
@@ -41,4 +41,4 @@ def _warm_up_off_policy(config: RunConfig, team: TeamSpec) -> None:
         np.zeros((steps, size), np.float32) for size in (team.observation_size, team.action_size, team.agents)
     )
     trainer.absorb(Chunk(Rows(observation, action, reward, flag), ()))
-    trainer.train(OFF_POLICY[config.algorithm.name].actor_period(config.off_policy))
+    trainer.train(off_policy(config.algorithm.name).actor_period(config.off_policy))

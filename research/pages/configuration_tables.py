@@ -15,6 +15,7 @@ from eia_sec.common.config.farm.sites import Sites
 from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import format_value
+from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import PRESETS
 
 _ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
@@ -161,6 +162,8 @@ def _type(wanted: Any) -> str:
         return f"table of {_type(get_args(wanted)[1])}s"
     if get_origin(wanted) is tuple:
         return _LISTS.get(wanted, f"list of {_type(get_args(wanted)[0])}s")
+    if wanted is PluginNames:
+        return "list of names"
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
 
 

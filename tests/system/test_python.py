@@ -1,6 +1,8 @@
 """Training from a program by processes of its own: watched, given other arguments, stopped, and evaluated."""
 
 import os
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -62,3 +64,24 @@ def test_a_thread_trains_with_a_worker_and_a_curriculum(tmp_path):
     assert run.environment_steps > 0
     assert run.directory == tmp_path / "run"
     assert run.evaluate(scenarios=2).total.steps == 20.0
+
+
+@pytest.mark.usefixtures("_importable")
+def test_a_plugin_is_known_to_every_process(tmp_path):
+    """Learner, coordinator and worker of a command train a plug-in's loss; others are told to name it."""
+    command = [sys.executable, "-m", "eia_sec.deploy.cli"]
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in SETTINGS.items()]
+    run = tmp_path / "run"
+    trained = [*command, "train", "--plugin", "mytask", "--env", "cover", "--algorithm", "smooth", "--steps", "4000"]
+    subprocess.run([*trained, *options, "--run-dir", str(run), "--no-report"], check=True, timeout=300)
+    logs = {path.stem: path.read_text() for path in (run / "logs").glob("*.log")}
+    assert "finished" in logs["learner"]
+    assert not any("Traceback" in text for text in logs.values())
+    evaluated = [*command, "evaluate", "--run-dir", str(run), "--env", "mytask.env:Cover", "--farms", "1000:1002"]
+    refused = subprocess.run(evaluated, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "add --plugin mytask to run its code" in refused.stderr
+    subprocess.run([*evaluated, "--plugin", "mytask"], check=True)
+    exported = [*command, "export", "--run-dir", str(run), "--format", "safetensors", "--plugin", "mytask"]
+    subprocess.run(exported, check=True)
+    assert (run / "export" / "actors.safetensors").is_file()

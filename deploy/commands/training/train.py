@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.live import Live
 
+from eia_sec.common import plugins
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.config.presets import preset_for
@@ -90,6 +91,7 @@ def command(arguments: Sequence[str]) -> int:
         options.settings.algorithm.require_types([group.name for group in team.groups])
         start = start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
+    _require_plugins(options.settings)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     chosen = options.preset or preset_for(options.settings.env.name)
     directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{chosen}-{stamp}"))
@@ -161,6 +163,7 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more += "" if options.tls is None else f" --tls {options.tls}"
     more += " --shared-memory" if options.shared_memory else ""
     more += f" --env {shlex.quote(options.settings.env.name)}" if options.settings.env.is_third_party else ""
+    more += "".join(f" --plugin {name}" for name in options.settings.plugins)
     return f"eia-sec train --run-dir {run} --resume{more}"
 
 
@@ -187,6 +190,15 @@ def _require_device(name: str) -> None:
         from eia_sec.learner.networks.device import usable_device  # noqa: PLC0415  (importing torch takes seconds, and only this needs it)
 
         usable_device(name)
+
+
+def _require_plugins(config: RunConfig) -> None:
+    """Raise PluginError unless what the run takes from plug-ins can be used, before any file is written."""
+    if config.plugins:
+        from eia_sec.learner.registry import require_algorithm  # noqa: PLC0415  (likewise)
+
+        require_algorithm(config.algorithm)
+        plugins.callbacks(config.plugins)
 
 
 def _endpoint(options: TrainArguments, workers: int) -> Endpoint:

@@ -268,8 +268,9 @@ OTHER_VALUES = {
 }
 
 
-KEYS = {key: name for name in BASES for key in flatten(PRESETS[name])}
-"""Every option, and the preset in which it is changed; that of default has routes, which exclude inertia."""
+KEYS = {key: name for name in BASES for key in flatten(PRESETS[name]) if key != "plugins"}
+"""Every option but the plug-ins, which must be loaded, and the preset in which it is changed; that of default has
+routes, which exclude inertia."""
 
 
 @pytest.mark.parametrize(("key", "name"), (KEYS | {"farm.dynamics.model": "inertial"}).items())

@@ -1,0 +1,257 @@
+"""Plug-ins: algorithms, heuristics, environments and callbacks from a user's own package.
+
+    # mytask/__init__.py
+    from eia_sec import Plugin, PluginAlgorithm
+    plugin = Plugin(algorithms={"cautious": PluginAlgorithm("mytask.loss:Cautious", CautiousOptions)})
+
+A plug-in is a module with a `Plugin` named `plugin`, or an entry point of the group `eia_sec.plugins`. `--plugin NAME`
+loads it, and nothing loads that was not named. A run's configuration keeps the names, and every process of the run is
+told them.
+
+What a plug-in offers is named as module:name and imported where it is used, so that a worker or a coordinator does not
+load torch for it.
+"""
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
+from importlib.metadata import entry_points
+from typing import Any, Final, Literal
+
+from eia_sec.common.callbacks import Callback
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, AlgorithmConfig, IppoConfig
+from eia_sec.common.config.plugin_names import LOADED, PluginNames
+from eia_sec.common.errors import PluginError
+from eia_sec.common.names import is_name
+
+GROUP: Final = "eia_sec.plugins"
+"""Group of entry points that name plug-ins."""
+MEMBER: Final = "plugin"
+"""Name of the `Plugin` in a plug-in's module."""
+
+
+@dataclass(frozen=True)
+class PluginAlgorithm:
+    """An algorithm of a plug-in.
+
+    Attributes:
+        learner: module:name of its class: derived from `Ippo`, `Mappo` or another `Ppo`, or off policy from `Maddpg` or
+            another `Algorithm`.
+        options: dataclass of its options, derived from those of the algorithm that the class derives from.
+    """
+
+    learner: str
+    options: type[AlgorithmConfig] = IppoConfig
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """What a user's package adds.
+
+    Attributes:
+        algorithms: by `algorithm.name`.
+        heuristics: module:name of a policy's class by the name that `--policy` takes, see docs/how-to/plugins.md.
+        environments: module:name of a PettingZoo parallel environment by the name that `--env` takes.
+        callbacks: module:name of classes derived from `Callback`; the learner makes and calls one of each.
+    """
+
+    algorithms: Mapping[str, PluginAlgorithm] = field(default_factory=dict)
+    heuristics: Mapping[str, str] = field(default_factory=dict)
+    environments: Mapping[str, str] = field(default_factory=dict)
+    callbacks: Sequence[str] = ()
+
+
+_PLUGINS: Final[dict[str, Plugin]] = {}
+
+
+def load(name: str) -> None:
+    """Load a plug-in, once.
+
+    Args:
+        name: of an entry point of GROUP, or of a module.
+
+    Raises:
+        PluginError: there is none, it cannot be imported, or it offers something that cannot be used.
+    """
+    if name in _PLUGINS:
+        return
+    found = _imported(name)
+    if not isinstance(found, Plugin):
+        raise PluginError(
+            f"plug-in {name}: {MEMBER} is {_kind(found)}, and must be an eia_sec.Plugin; set {MEMBER} = Plugin(...) in "
+            "its module."
+        )
+    _check_names(name, found)
+    configurations = {own: _options(name, own, each) for own, each in found.algorithms.items()}
+    ALGORITHM_CONFIGS.update(configurations)
+    _PLUGINS[name] = found
+    LOADED.append(name)
+
+
+def loaded() -> PluginNames:
+    """Return the names of all loaded plug-ins."""
+    return PluginNames(LOADED)
+
+
+def environment(name: str) -> str:
+    """Return module:name of an environment that a plug-in has named, or the name itself."""
+    return next((own.environments[name] for own in _PLUGINS.values() if name in own.environments), name)
+
+
+def heuristic(name: str) -> Any:
+    """Return a new heuristic of a plug-in, or None where none has this name.
+
+    Raises:
+        PluginError: it cannot be made, or it lacks a method.
+    """
+    for plugin, own in _PLUGINS.items():
+        if name in own.heuristics:
+            return policy(own.heuristics[name], f"plug-in {plugin}: heuristic {name}")
+    return None
+
+
+def policy(where: str, what: str) -> Any:
+    """Return a new policy of a class or function.
+
+    Args:
+        where: module:name.
+        what: what it is, for errors.
+
+    Raises:
+        PluginError: it cannot be made, or it lacks a method.
+    """
+    found = _made(resolve(where, what), what)
+    for method in ("reset", "act"):
+        if not callable(getattr(found, method, None)):
+            raise PluginError(f"{what}: {where} has no method {method}; policies have reset and act.")
+    return found
+
+
+def callbacks(named: Sequence[str]) -> list[Callback]:
+    """Return a new callback of each class that some loaded plug-ins name.
+
+    Args:
+        named: names of the plug-ins, as a run's configuration has them.
+
+    Raises:
+        PluginError: one cannot be made, or is no callback.
+    """
+    made = []
+    for plugin in named:
+        for where in _PLUGINS[plugin].callbacks:
+            what = f"plug-in {plugin}: callback {where}"
+            each = _made(resolve(where, what), what)
+            if not isinstance(each, Callback):
+                raise PluginError(f"{what} is {_kind(each)}; it must derive from eia_sec.Callback.")
+            made.append(each)
+    return made
+
+
+def algorithm(name: str) -> tuple[str, type[Any]] | None:
+    """Return the plug-in and the learner's class of an algorithm, or None where no plug-in has it.
+
+    Raises:
+        PluginError: the class cannot be imported.
+    """
+    for plugin, own in _PLUGINS.items():
+        if name in own.algorithms:
+            what = f"plug-in {plugin}: algorithm {name}"
+            found = resolve(own.algorithms[name].learner, what)
+            if not isinstance(found, type):
+                raise PluginError(f"{what}: {own.algorithms[name].learner} is {_kind(found)}, and must be a class.")
+            return plugin, found
+    return None
+
+
+def resolve(where: str, what: str) -> Any:
+    """Return what module:name names.
+
+    Args:
+        where: module:name.
+        what: what it is, for errors.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    module, _, member = where.partition(":")
+    try:
+        found = importlib.import_module(module)
+        for part in member.split("."):
+            found = getattr(found, part)
+    except Exception as error:  # a user's module may raise anything
+        raise PluginError(f"{what}: {where} cannot be imported: {type(error).__name__}: {error}") from error
+    return found
+
+
+def _imported(name: str) -> Any:
+    known = [point for point in entry_points(group=GROUP) if point.name == name]
+    try:
+        if known:
+            return known[0].load()
+        return getattr(importlib.import_module(name), MEMBER, None)
+    except ModuleNotFoundError as error:
+        hint = "install its package, or name its folder in PYTHONPATH"
+        raise PluginError(f"there is no plug-in {name}: {error} ({hint}).") from error
+    except Exception as error:  # a user's module may raise anything
+        raise PluginError(f"plug-in {name} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def _check_names(name: str, found: Plugin) -> None:
+    others = {own for each in _PLUGINS.values() for own in (*each.heuristics, *each.environments)}
+    taken = others | set(ALGORITHM_CONFIGS)
+    for own in (*found.algorithms, *found.heuristics, *found.environments):
+        if not isinstance(own, str) or not is_name(own):
+            raise PluginError(f"plug-in {name}: {own!r} is no name of 1 to 63 letters, digits, '.', '_' or '-'.")
+        if own in taken:
+            raise PluginError(f"plug-in {name}: the name {own} is taken.")
+    for what, places in (
+        ("heuristic", found.heuristics.values()),
+        ("environment", found.environments.values()),
+        ("callback", found.callbacks),
+    ):
+        for where in places:
+            if not isinstance(where, str) or not where.partition(":")[2]:
+                raise PluginError(f"plug-in {name}: a {what} is named as module:name, not {where!r}.")
+
+
+def _options(plugin: str, name: str, each: PluginAlgorithm) -> type[AlgorithmConfig]:
+    """Return the configuration class of an algorithm, whose `name` is the one it has in the plug-in."""
+    what = f"plug-in {plugin}: algorithm {name}"
+    if not isinstance(each, PluginAlgorithm):
+        raise PluginError(f"{what} is {_kind(each)}, and must be an eia_sec.PluginAlgorithm.")
+    options = each.options
+    if not (isinstance(options, type) and issubclass(options, AlgorithmConfig) and is_dataclass(options)):
+        raise PluginError(
+            f"{what}: its options are {_kind(options)}, and must be a dataclass derived from IppoConfig or another one."
+        )
+    if not options.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # every dataclass has it
+        raise PluginError(
+            f"{what}: its options {options.__qualname__} must be a frozen dataclass, as those it derives from."
+        )
+    if missing := [each.name for each in fields(options) if each.name != "name" and not _has_default(each)]:
+        raise PluginError(f"{what}: the option {missing[0]} of {options.__qualname__} has no default.")
+    named = make_dataclass(
+        options.__name__,
+        [("name", Literal[name], name)],
+        bases=(options,),
+        frozen=True,
+        namespace={"__module__": options.__module__, "__doc__": options.__doc__},
+    )
+    return named
+
+
+def _has_default(option: Any) -> bool:
+    return option.default is not option.default_factory  # both are MISSING where it has none
+
+
+def _made(kind: Any, what: str) -> Any:
+    if not callable(kind):
+        raise PluginError(f"{what} is {_kind(kind)}, and must be a class or a function.")
+    try:
+        return kind()
+    except Exception as error:  # a user's constructor may raise anything
+        raise PluginError(f"{what}: making it raised {type(error).__name__}: {error}") from error
+
+
+def _kind(found: Any) -> str:
+    return "nothing" if found is None else f"a {type(found).__name__}"

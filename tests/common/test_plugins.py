@@ -1,0 +1,218 @@
+"""Plug-ins: what a package of a user's own adds, where it is recorded, and which sentence each mistake gets."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from types import ModuleType
+
+import pytest
+from mytask.env import Cover
+
+import eia_sec
+from eia_sec.common import plugins
+from eia_sec.common.config import ALGORITHM_CONFIGS, RunConfig
+from eia_sec.common.config.files import from_toml, method_of, read_saved, to_toml
+from eia_sec.common.config.plugin_names import LOADED, PluginNames
+from eia_sec.common.config.presets import preset
+from eia_sec.common.errors import ConfigError, PluginError, UsageError
+from eia_sec.deploy.cli import with_plugins, without_plugins
+from eia_sec.deploy.options import base_configuration
+from eia_sec.learner.registry import off_policy, on_policy
+from eia_sec.rollout.policies import run_policy
+from tests.test_api import TINY
+
+
+@pytest.fixture(autouse=True)
+def _nothing_stays_loaded():
+    """Forget what a test has loaded."""
+    before = dict(ALGORITHM_CONFIGS)
+    yield
+    plugins._PLUGINS.clear()
+    LOADED.clear()
+    ALGORITHM_CONFIGS.clear()
+    ALGORITHM_CONFIGS.update(before)
+
+
+def module(monkeypatch, **members):
+    """Make a module named `mine` with these members."""
+    found = ModuleType("mine")
+    vars(found).update(members)
+    monkeypatch.setitem(sys.modules, "mine", found)
+    return found
+
+
+def test_a_loss_of_ones_own_is_trained_on_policy():
+    """Its options are part of the configuration, which names the plug-in; another penalty gives another policy."""
+    runs = [
+        eia_sec.train(
+            "cover",
+            algorithm="smooth",
+            plugins=["mytask"],
+            steps=80,
+            settings=TINY | {"algorithm.penalty": penalty, "algorithm.epochs": 3},
+        )
+        for penalty in (2.0, 2.0, 50.0)
+    ]
+    assert runs[0].config.env.name == "mytask.env:Cover"
+    assert runs[0].config.plugins == ("mytask",)
+    first, again, other = (run.actors.digest() for run in runs)
+    assert first == again != other
+
+
+def test_a_loss_of_ones_own_is_trained_off_policy():
+    """The critics' loss is the plug-in's: indifferent optimism is MADDPG, any other is not."""
+    settings = {
+        "algorithm.hidden": 8,
+        "algorithm.batch": 16,
+        "rollout.environments": 2,
+        "rollout.chunk_steps": 20,
+        "replay.capacity": 512,
+        "replay.warmup_steps": 20,
+        "farm.world.steps": 20,
+    }
+
+    def digest(name, **more):
+        run = eia_sec.train(preset="eia-sec", algorithm=name, plugins=["mytask"], episodes=4, settings=settings | more)
+        return run.actors.digest()
+
+    plugins.load("mytask")
+    assert digest("bold", **{"algorithm.optimism": 1.0}) == digest("maddpg")
+    assert digest("bold") != digest("maddpg")
+
+
+def test_a_heuristic_of_ones_own_is_evaluated():
+    """Its name is a policy in any environment, and it does better than random actions."""
+    plugins.load("mytask")
+    config = preset("generic").with_environment("mytask.env:Cover")
+    assert type(run_policy("nearest", config)).__name__ == "Nearest"
+    rewards = [eia_sec.evaluate(name, Cover, farms=range(1000, 1010)).total.reward for name in ("nearest", "random")]
+    assert rewards[0] > rewards[1] + 3.0
+
+
+def test_its_callbacks_are_called(monkeypatch):
+    """A run that names the plug-in calls them; one that does not, does not."""
+    seen = []
+
+    class Seen(eia_sec.Callback):
+        def on_progress(self, training):
+            seen.append(training.environment_steps)
+
+    module(monkeypatch, plugin=plugins.Plugin(callbacks=["mine:Seen"]), Seen=Seen)
+    eia_sec.train(Cover, steps=80, settings=TINY, plugins=["mine"])
+    assert seen == [40, 80]
+    eia_sec.train(Cover, steps=80, settings=TINY)
+    assert seen == [40, 80]
+
+
+def test_a_saved_run_loads_nothing_that_was_not_named():
+    """Its configuration is refused with the option that is missing, and reads back once the plug-in is loaded."""
+    plugins.load("mytask")
+    run = base_configuration(["--env", "mytask.env:Cover", "--algorithm", "smooth"])
+    text = to_toml(run)
+    assert run.plugins == ("mytask",)
+    assert read_saved(text) == run
+    assert method_of(run) == method_of(replace(run, plugins=PluginNames(("mytask", "another"))))
+    LOADED.clear()
+    with pytest.raises(ConfigError, match=r"uses the plug-in mytask; add --plugin mytask to run its code\."):
+        read_saved(text)
+    with pytest.raises(ConfigError, match="plugins must be a list of names, not 3"):
+        from_toml("plugins = 3", RunConfig())
+
+
+def test_naming_a_plugin_loads_no_torch():
+    """A coordinator or a worker that names it loads what it needs alone."""
+    code = "import sys, eia_sec.common.plugins as p; p.load('mytask'); print('torch' in sys.modules)"
+    own = {"PYTHONPATH": ":".join(part for part in sys.path if part)}
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=own, check=True)
+    assert found.stdout == "False\n"
+
+
+def test_the_command_line_names_plugins_anywhere():
+    """`--plugin` may stand anywhere behind the command, any number of times; short names are written out."""
+    words = ["train", "--plugin", "mytask", "--env", "cover", "--plugin=other", "--seed", "1"]
+    assert without_plugins(words) == (["train", "--env", "cover", "--seed", "1"], ["mytask", "other"])
+    assert with_plugins(["train", "--env", "cover", "--env.name=cover"], ["mytask"]) == [
+        *("train", "--env", "mytask.env:Cover", "--env.name=mytask.env:Cover")
+    ]
+    for wrong in (["train", "--plugin"], ["train", "--plugin", "--env"]):
+        with pytest.raises(UsageError, match="--plugin needs the name"):
+            without_plugins(wrong)
+
+
+class Half:
+    """Lacks a method."""
+
+    def reset(self, environments, index):
+        """Do nothing."""
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ({}, "plug-in mine: plugin is nothing, and must be an eia_sec.Plugin"),
+        ({"plugin": {"algorithms": {}}}, "plug-in mine: plugin is a dict"),
+        ({"plugin": plugins.Plugin(algorithms={"ippo": plugins.PluginAlgorithm("a:b")})}, "the name ippo is taken"),
+        ({"plugin": plugins.Plugin(algorithms={"x": "a:b"})}, "algorithm x is a str, and must be an"),
+        ({"plugin": plugins.Plugin(algorithms={"a b": plugins.PluginAlgorithm("a:b")})}, "'a b' is no name of 1 to 63"),
+        ({"plugin": plugins.Plugin(algorithms={"x": plugins.PluginAlgorithm("a:b", int)})}, "its options are a type"),
+        ({"plugin": plugins.Plugin(heuristics={"x": "mine"})}, "a heuristic is named as module:name, not 'mine'"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_named(monkeypatch, members, said):
+    """The sentence names the plug-in, what is wrong in it, and what was expected."""
+    module(monkeypatch, **members)
+    with pytest.raises(PluginError, match=said):
+        plugins.load("mine")
+    assert LOADED == []
+
+
+def test_what_cannot_be_imported_or_made_is_named(monkeypatch):
+    """A plug-in, a heuristic and a learner that are missing, and a class without a method."""
+    with pytest.raises(PluginError, match="there is no plug-in nowhere: No module named 'nowhere'"):
+        plugins.load("nowhere")
+    own = plugins.Plugin(
+        algorithms={"gone": plugins.PluginAlgorithm("mine:Gone"), "odd": plugins.PluginAlgorithm("mine:Half")},
+        heuristics={"half": "mine:Half"},
+        callbacks=["mine:Half"],
+    )
+    module(monkeypatch, plugin=own, Half=Half)
+    plugins.load("mine")
+    with pytest.raises(PluginError, match="plug-in mine: heuristic half: mine:Half has no method act"):
+        plugins.heuristic("half")
+    with pytest.raises(PluginError, match="plug-in mine: algorithm gone: mine:Gone cannot be imported: AttributeError"):
+        on_policy("gone")
+    with pytest.raises(PluginError, match=r"plug-in mine: Half must derive from .*Ppo, because"):
+        on_policy("odd")
+    with pytest.raises(PluginError, match=r"callback mine:Half is a Half; it must derive from eia_sec\.Callback"):
+        plugins.callbacks(["mine"])
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (lambda self, ratio, advantage: 1 / 0, "surrogate raised ZeroDivisionError: division by zero"),
+        (lambda self, ratio, advantage: 0.0, "surrogate returned a float, and must return a Tensor"),
+    ],
+)
+def test_a_loss_that_fails_is_named(monkeypatch, found, said):
+    """An exception in a user's method, and a result of another type, name plug-in, class and method."""
+    from eia_sec.learner.on_policy.ippo import Ippo  # noqa: PLC0415  (torch loads only here)
+
+    broken = type("Broken", (Ippo,), {"surrogate": found, "__module__": "mine"})
+    own = plugins.Plugin(algorithms={"broken": plugins.PluginAlgorithm("mine:Broken")})
+    module(monkeypatch, plugin=own, Broken=broken)
+    with pytest.raises(PluginError, match=rf"plug-in mine: mine\.Broken\.{said}"):
+        eia_sec.train(Cover, algorithm="broken", plugins=["mine"], steps=80, settings=TINY)
+    with pytest.raises(PluginError, match="must derive from"):
+        off_policy("broken")
+
+
+def test_options_have_a_name_defaults_and_values():
+    """An algorithm's options are those of its dataclass under the plug-in's name, and are read like all others."""
+    plugins.load("mytask")
+    options = ALGORITHM_CONFIGS["smooth"]()
+    assert (options.name, options.penalty) == ("smooth", 2.0)
+    config = preset("generic").with_algorithm("smooth")
+    assert from_toml("algorithm.penalty = 3", config).algorithm.penalty == 3.0
+    with pytest.raises(ConfigError, match=r"algorithm\.penalty must be a number"):
+        from_toml("algorithm.penalty = true", config)
