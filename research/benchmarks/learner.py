@@ -142,7 +142,7 @@ def filled_trainer(
     """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
     learner = replace(LearnerConfig(), device=device)
-    base = preset("study")
+    base = preset("study").with_algorithm(algorithm.name)
     config = replace(base, algorithm=algorithm, replay=replay, farm=farm or base.farm, learner=learner)
     team = farm_team(config.farm)
     trainer, draw = OffPolicyTrainer(config, team), np.random.default_rng(0)

@@ -104,7 +104,7 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     """Models of MASAC's actors, whose observations were standardised, act as these without noise do."""
     team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
     config = replace(
-        preset("eia-sec"),
+        preset("eia-sec").with_algorithm("masac"),
         env=EnvConfig("some.module:env"),
         algorithm=MasacConfig(hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
         replay=ReplayConfig(capacity=320, warmup_steps=0),

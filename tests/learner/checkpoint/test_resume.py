@@ -122,7 +122,9 @@ def test_resume_is_bit_equal(tmp_path, cut):
 def test_resume_is_bit_equal_for_every_algorithm(tmp_path, name, cut):
     """Likewise with both normalisations and clipped gradients, whose state is part of a checkpoint, too."""
     aids = {"observation_normalisation": True, "reward_normalisation": True, "gradient_clip": 0.5}
-    check_resume(tmp_path, cut, 20, replace(CONFIG, algorithm=variant(CONFIG.algorithm, name, **aids)))
+    check_resume(
+        tmp_path, cut, 20, replace(CONFIG.with_algorithm(name), algorithm=variant(CONFIG.algorithm, name, **aids))
+    )
 
 
 @pytest.mark.nightly

@@ -130,7 +130,9 @@ def test_a_soft_value_is_not_compared_with_rewards(name):
     """Where Q counts entropy, the returns are reported and its excess over them is not; elsewhere both are."""
     algorithm = variant(BASE, name, discount=0.5)
     replay = ReplayConfig(capacity=512, warmup_steps=0)
-    trainer = OffPolicyTrainer(replace(preset("eia-sec"), algorithm=algorithm, replay=replay), TEAM)
+    trainer = OffPolicyTrainer(
+        replace(preset("eia-sec").with_algorithm(name), algorithm=algorithm, replay=replay), TEAM
+    )
     flag = np.full(256, TRANSITION, np.uint8)
     flag[7::8] = 0
     flag[6::8] |= TERMINATED
