@@ -113,7 +113,7 @@ class ABus:
         self.views: list[ViewMessage] = []
         self.sequences: list[int] = []
 
-    def serve(self, key: str, capacity: int) -> "ABus":
+    def serve(self, key: str, capacity: int, *, newest: bool = False) -> "ABus":
         """Return what is polled for requests."""
         return self
 
