@@ -1,9 +1,9 @@
 """What a program does while a run trains: stop it, change the environment's arguments, or log.
 
 class Harder(Callback):
-def on_progress(self, training):
-if training.reward > 0.8:
-training.set_arguments(size=16)
+    def on_progress(self, training):
+        if training.reward > -8.0:
+            training.set_arguments(size=8)
 
 eia_sec.train("mytask.env:Cover", callbacks=[Harder()])
 """
@@ -62,7 +62,7 @@ class TrainingProgress(ABC):
         Each environment is made anew when its next episode begins.
 
         Raises:
-            ConfigError: the run's environment takes no arguments, or one is no JSON value.
+            ConfigError: the run's environment takes no arguments, one is no JSON value, or they are too long.
         """
 
 
@@ -97,7 +97,7 @@ def call(callbacks: Sequence[Callback], method: str, training: TrainingProgress)
         try:
             getattr(callback, method)(training)
         except Exception as error:
-            kind = type(callback)
+            own = type(callback)
             raise CallbackError(
-                f"{kind.__module__}.{kind.__qualname__}.{method} raised {type(error).__name__}: {error}"
+                f"{own.__module__}.{own.__qualname__}.{method} raised {type(error).__name__}: {error}"
             ) from error

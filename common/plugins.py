@@ -163,6 +163,11 @@ def algorithm(name: str) -> tuple[str, type[Any]] | None:
     return None
 
 
+def owners(name: str) -> tuple[str, ...]:
+    """Return the loaded plug-in that an algorithm is of, alone; nothing for one of this package."""
+    return tuple(plugin for plugin, own in _PLUGINS.items() if name in own.algorithms)
+
+
 def resolve(where: str, what: str) -> Any:
     """Return what module:name names.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from eia_sec.common.callbacks import SHOWN, TrainingProgress
 from eia_sec.common.config import RunConfig
+from eia_sec.common.config.environment import MOST_ARGUMENTS
 from eia_sec.common.errors import ConfigError
 
 
@@ -18,13 +19,13 @@ class SteeredProgress(TrainingProgress):
     Attributes:
         stopped: whether a callback has stopped it.
         reason: why.
-        arguments: the environment's present arguments.
+        arguments: the environment's present arguments, JSON.
     """
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
         self.stopped, self.reason = False, ""
-        self.arguments: dict[str, Any] = config.env.keywords()
+        self.arguments = json.dumps(config.env.keywords())
 
     def stop(self, reason: str = "") -> None:
         """See `TrainingProgress`."""
@@ -32,15 +33,18 @@ class SteeredProgress(TrainingProgress):
 
     def set_arguments(self, **arguments: Any) -> None:
         """See `TrainingProgress`."""
-        if not self._config.env.is_third_party:
+        if not self._config.env.is_third_party or self._config.env.served:
             raise ConfigError(f"{self._config.env.name} takes no arguments that change while a run trains.")
-        wanted = {**self.arguments, **arguments}
         try:
-            text = json.dumps(wanted)
-        except (TypeError, ValueError) as error:
+            wanted = json.dumps({**json.loads(self.arguments), **arguments})
+        except (TypeError, ValueError, RecursionError) as error:
             raise ConfigError(f"the environment's arguments are no JSON: {error}.") from None
+        if len(wanted) > MOST_ARGUMENTS:
+            raise ConfigError(
+                f"the environment's arguments are {len(wanted)} characters; at most {MOST_ARGUMENTS} fit."
+            )
         if wanted != self.arguments:
-            self._change(text)
+            self._change(wanted)
             self.arguments = wanted
 
     @abstractmethod

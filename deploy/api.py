@@ -25,6 +25,7 @@ from eia_sec.deploy.python.training import train_elsewhere, train_here
 from eia_sec.rollout import evaluation
 from eia_sec.rollout.agent_policy import Policy
 from eia_sec.rollout.envs.parallel_env import FarmParallelEnv, parallel_env
+from eia_sec.rollout.envs.registry import require_known
 from eia_sec.rollout.policies import ActorPolicy, run_policy
 from eia_sec.rollout.shipped_policies import policy_path, preset_of
 
@@ -45,7 +46,7 @@ def train(
     plugins: Sequence[str] = (),
     run_dir: str | Path | None = None,
     connect: str | None = None,
-    run: str = "train",
+    run: str = "",
 ) -> Run:
     """Train a policy, and return the run with it.
 
@@ -69,7 +70,7 @@ def train(
         run_dir: run directory, new or empty, for configuration, metrics and policy, and with workers for checkpoints
             and logs. By default none in this process, and with workers runs/PRESET-TIME.
         connect: endpoint of a router, `tcp/host:7447` for one, through which workers of other machines join.
-        run: name of the run, by which they join.
+        run: name of the run, by which they join; needed with `connect`.
 
     Raises:
         UsageError: something is impossible; the message is one sentence.
@@ -77,8 +78,10 @@ def train(
     """
     require_callbacks(callbacks)
     within(0, 1024, workers=workers)
-    for name in plugins:
-        plugin_registry.load(name)
+    if connect is not None and not run:
+        raise ConfigError("connect needs run, the name by which workers of other machines join.")
+    given = environment.plugins if isinstance(environment, RunConfig) else ()
+    _load((*given, *_names(plugins)))
     elsewhere = workers > 0 or connect is not None
     chosen = _whole(environment, preset, elsewhere=elsewhere)
     if algorithm:
@@ -86,14 +89,15 @@ def train(
     budget = {name: value for name, value in (("steps", steps), ("episodes", episodes)) if value}
     own: dict[str, Any] = budget | ({} if seed is None else {"seed": seed})
     config = with_values(with_values(chosen, dict(settings or {})), own)
-    config = replace(config, plugins=PluginNames(plugins))
+    used = (*given, *plugins, *plugin_registry.owners(config.algorithm.name))
+    config = replace(config, plugins=PluginNames(dict.fromkeys(used)))
     folder = None if run_dir is None else Path(run_dir)
     if not elsewhere:
-        return train_here(config, folder, [*callbacks, *plugin_registry.callbacks(plugins)])
+        return train_here(config, folder, [*callbacks, *plugin_registry.callbacks(config.plugins)])
     if folder is None:
-        named = preset or (preset_for(config.env.name) if not isinstance(environment, RunConfig) else run)
+        named = preset or (preset_for(config.env.name) if not isinstance(environment, RunConfig) else "train")
         folder = new_folder(Path("runs"), f"{named}-{time.strftime('%Y%m%d-%H%M%S')}")
-    return train_elsewhere(config, folder, callbacks, workers, connect, run)
+    return train_elsewhere(config, folder, callbacks, workers, connect, run or "train")
 
 
 def evaluate(
@@ -104,6 +108,7 @@ def evaluate(
     settings: Settings | None = None,
     farms: Sequence[int] = range(1000, 1020),
     episodes: int = 1,
+    plugins: Sequence[str] = (),
 ) -> evaluation.Evaluation:
     """Run a policy without noise on farms that training never uses, and return its scores.
 
@@ -114,11 +119,13 @@ def evaluate(
         settings: what differs from it, as for `train`.
         farms: seeds of the farms, or of the scenarios of another environment.
         episodes: episodes on each.
+        plugins: names of plug-ins to load, as `--plugin` takes them.
 
     Raises:
         ConfigError: the configuration is impossible, or there is nothing to evaluate on.
         PolicyError: the policy does not exist, or does not fit the environment.
     """
+    _load(_names(plugins))
     name = "policy" if isinstance(policy, Policy) else str(policy)
     config = _whole(environment or FARM, preset or ("" if environment else preset_of(name)), elsewhere=False)
     config = with_values(config, dict(settings or {}))
@@ -126,21 +133,26 @@ def evaluate(
     return evaluation.evaluate_run(config, chosen, farms, episodes, name=name)
 
 
-def load_policy(policy: str | Path, environment: str | Callable[..., Any] | EnvConfig = FARM) -> Policy:
+def load_policy(
+    policy: str | Path, environment: str | Callable[..., Any] | EnvConfig = FARM, *, plugins: Sequence[str] = ()
+) -> Policy:
     """Return a trained policy from its file, or by its name: `trained`, `trained:long`, ...
 
     Args:
         policy: the file, or the name.
         environment: the environment that it acts in, as for `train`, for whoever calls `Policy.act` with what a
             PettingZoo environment returns. For the farm it is not needed.
+        plugins: names of plug-ins to load, as `--plugin` takes them.
 
     Raises:
+        ConfigError: there is no such environment.
         PolicyError: there is no such file, or it is damaged.
     """
+    _load(_names(plugins))
     actors, _ = policy_file.load_policy(policy_path(str(policy)))
-    if isinstance(environment, EnvConfig):
-        return Policy(actors, environment)
-    return Policy(actors, EnvConfig(name=environment_name(environment, elsewhere=False)))
+    found = environment if isinstance(environment, EnvConfig) else EnvConfig(_named(environment, elsewhere=False))
+    require_known(found)
+    return Policy(actors, found)
 
 
 def make_env(
@@ -167,5 +179,22 @@ def _whole(environment: str | Callable[..., Any] | RunConfig, preset: str, *, el
     """Return the configuration that a program begins from."""
     if isinstance(environment, RunConfig):
         return environment
-    name = plugin_registry.environment(environment_name(environment, elsewhere=elsewhere))
+    name = _named(environment, elsewhere=elsewhere)
     return preset_named(preset or preset_for(name)).with_environment(name)
+
+
+def _named(environment: str | Callable[..., Any], *, elsewhere: bool) -> str:
+    """Return an environment's name, written out as module:name where a plug-in has a short one."""
+    return plugin_registry.environment(environment_name(environment, elsewhere=elsewhere))
+
+
+def _names(plugins: Sequence[str]) -> Sequence[str]:
+    """Return names of plug-ins; raise ConfigError for a text, which would be taken letter by letter."""
+    if isinstance(plugins, str):
+        raise ConfigError(f"plugins is a list of names, [{plugins!r}] for one.")
+    return plugins
+
+
+def _load(plugins: Sequence[str]) -> None:
+    for name in plugins:
+        plugin_registry.load(name)

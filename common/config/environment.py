@@ -19,6 +19,9 @@ _SERVED: Final = re.compile(rf"{ZENOH}[A-Za-z0-9_.\-*]{{1,63}}")
 MOST_EPISODE_STEPS: Final = 100_000
 """Steps after which an episode is truncated where neither the environment nor the configuration ends it."""
 
+MOST_ARGUMENTS: Final = 8 * 1024
+"""Most characters of arguments that change while a run trains."""
+
 
 @dataclass(frozen=True)
 class EnvConfig:
@@ -48,7 +51,8 @@ class EnvConfig:
         elsewhere = self.name.startswith(ZENOH)
         if not (self.served if elsewhere else all(part.isidentifier() for part in parts)):
             raise ConfigError(f"env.name must be farm, module:name or zenoh:NAME, not {self.name!r}.")
-        self.keywords()
+        if self.keywords() and self.served:
+            raise ConfigError("env.arguments have no effect on environments that others serve.")
         freeze(self, "types")
         if unnamed := [prefix for prefix, kind in self.types.items() if not is_name(kind)]:
             raise ConfigError(

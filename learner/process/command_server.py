@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from eia_sec.common.clock import monotonic
+from eia_sec.common.config.environment import MOST_ARGUMENTS
 from eia_sec.common.errors import ProtocolError
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
@@ -12,8 +13,6 @@ from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessag
 from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.process.lease import Lease
 
-MOST_ARGUMENTS = 8 * 1024
-"""Most characters of an environment's arguments."""
 SHOWN_NAME = 64
 """Most characters of another process's name in a log line or an answer."""
 

@@ -60,7 +60,7 @@ class EpisodeInfos:
         for info in infos.values():
             for name, value in info.items():
                 if isinstance(value, bool | int | float | np.number | np.bool_):
-                    self._add(sums, name, float(value))
+                    self._add(sums, name, _number(value))
 
     def _add(self, sums: dict[str, tuple[float, int]], name: Any, value: float) -> None:
         if not self._takes(name) or not math.isfinite(value) or abs(value) > LARGEST:
@@ -84,3 +84,11 @@ class EpisodeInfos:
     def means(self, index: int) -> dict[str, float]:
         """Return the means of an environment's episode so far, by name."""
         return {name: total / count for name, (total, count) in self._sums[index].items()}
+
+
+def _number(value: Any) -> float:
+    """Return a number as a float; an integer that no float can hold is not a number."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan

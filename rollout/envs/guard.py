@@ -231,7 +231,7 @@ class Guard:
             plain = not isinstance(value, str | bytes) and np.ndim(value) == 0
             try:
                 number = float(value) if plain else None
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 number = None
             self._require("step()", number is not None, value, f"one number as the reward of agent {name}")
             value = number

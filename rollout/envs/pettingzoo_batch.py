@@ -84,8 +84,9 @@ class PettingZooBatch:
             made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
-        self._views, self._actions = agents.views, RowActions(agents.actions)
-        self._absent = {name: view.absent() for name, view in self._views.items()}
+        self._views = [agents.views] * environments
+        self._spaces, self._actions = agents.actions, RowActions(agents.actions)
+        self._absent = {name: view.absent() for name, view in agents.views.items()}
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), np.float32)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
         self.potential: Float32 = np.zeros_like(self.reward)
@@ -157,20 +158,25 @@ class PettingZooBatch:
         return self._until_back(index, partial(self._attempt, self._config))
 
     def _renew(self, index: int) -> None:
-        """Make an environment anew if its arguments have changed; raise ConfigError if its agents become others."""
+        """Make an environment anew if its arguments have changed; raise ConfigError if agents or actions change."""
         config = self._config
         if self._made[index] == config.arguments:
             return
         self._environments[index].close()
         self._environments[index] = self._made_anew(index)
-        self._made[index] = config.arguments
-        found = describe(self._environments[index], config.types)
+        found = self._until_back(index, partial(describe, self._environments[index], config.types))
         if (found.team, tuple(found.views)) != (self.team, self.names):
             raise ConfigError(
                 f"with the arguments {config.arguments} {config.name} has {described(found.team)}, and the run trains "
                 f"{described(self.team)}; arguments that change while a run trains must keep the team."
             )
-        self._views, self._actions = found.views, RowActions(found.actions)
+        if found.actions != self._spaces:  # all environments of the batch share how actions are read
+            raise ConfigError(
+                f"with the arguments {config.arguments} {config.name} has other action spaces; arguments that change "
+                "while a run trains must keep them."
+            )
+        self._views[index] = found.views
+        self._made[index] = config.arguments
 
     def _step(self, index: int, actions: dict[Any, Any]) -> None:
         environment, present = self._environments[index], set(actions)
@@ -225,7 +231,7 @@ class PettingZooBatch:
     def _observe(self, index: int, method: str, observations: Mapping[Any, Any], infos: Mapping[Any, Any]) -> None:
         environment, row = self._environments[index], []
         with environment.returned(method):
-            for name, view in self._views.items():
+            for name, view in self._views[index].items():
                 if name in observations:
                     row.append(view.numbers(name, observations[name], infos.get(name, {})))
                 else:

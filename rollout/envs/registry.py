@@ -11,7 +11,7 @@ from typing import Final
 
 from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.action_kinds import discrete_algorithms
-from eia_sec.common.config.environment import FARM, MOST_EPISODE_STEPS
+from eia_sec.common.config.environment import FARM, MOST_EPISODE_STEPS, EnvConfig
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_environment, farm_of
@@ -74,12 +74,17 @@ def make_environments(
     """
     if config.env.is_third_party:
         return _pettingzoo(config, count, patience, reach)
-    if config.env.name not in FACTORIES:
+    require_known(config.env)
+    return FACTORIES[config.env.name](config, count, hindsight)
+
+
+def require_known(env: EnvConfig) -> None:
+    """Raise ConfigError for a name that is neither module:name nor an environment of this package."""
+    if not env.is_third_party and env.name not in FACTORIES:
         raise ConfigError(
             f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
-            f"not {config.env.name!r}."
+            f"not {env.name!r}."
         )
-    return FACTORIES[config.env.name](config, count, hindsight)
 
 
 def change_arguments(environments: Environments, arguments: str) -> None:

@@ -216,3 +216,35 @@ def test_options_have_a_name_defaults_and_values():
     assert from_toml("algorithm.penalty = 3", config).algorithm.penalty == 3.0
     with pytest.raises(ConfigError, match=r"algorithm\.penalty must be a number"):
         from_toml("algorithm.penalty = true", config)
+
+
+def test_a_runs_own_plugins_stay_with_it(monkeypatch):
+    """A run begun again from its configuration names its plug-ins, as does one whose algorithm is a plug-in's."""
+    seen = []
+
+    class Seen(eia_sec.Callback):
+        def on_progress(self, training):
+            seen.append(training.environment_steps)
+
+    module(monkeypatch, plugin=plugins.Plugin(callbacks=["mine:Seen"]), Seen=Seen)
+    run = eia_sec.train(Cover, steps=80, settings=TINY, plugins=["mine"])
+    again = eia_sec.train(run.config)
+    assert again.config.plugins == ("mine",)
+    assert seen == [40, 80, 40, 80]
+    plugins.load("mytask")
+    assert eia_sec.train(Cover, algorithm="smooth", steps=80, settings=TINY).config.plugins == ("mytask",)
+    with pytest.raises(ConfigError, match=r"plugins is a list of names, \['mytask'\] for one"):
+        eia_sec.train(Cover, plugins="mytask")
+
+
+def test_a_policy_acts_in_an_environment_with_a_short_name(tmp_path):
+    """Its actions are the environment's own, and a name that nobody has is refused."""
+    run = eia_sec.train(Cover, steps=80, settings=TINY)
+    run.policy.save(tmp_path / "cover.safetensors")
+    with pytest.raises(ConfigError, match="must be module:name or an environment of this package"):
+        eia_sec.load_policy(tmp_path / "cover.safetensors", "cover")
+    policy = eia_sec.load_policy(tmp_path / "cover.safetensors", "cover", plugins=["mytask"])
+    observations, _ = Cover().reset(seed=0)
+    assert set(policy.act(observations)) == {"walker_0", "walker_1"}
+    found = eia_sec.evaluate(policy, "cover", plugins=["mytask"], farms=[1000])
+    assert found.total.steps == 20.0

@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from eia_sec.common.config.environment import MOST_ARGUMENTS
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
-from eia_sec.learner.process.command_server import MOST_ARGUMENTS, CommandServer
+from eia_sec.learner.process.command_server import CommandServer
 
 
 def asked(arguments):

@@ -37,10 +37,10 @@ def test_what_is_refused_is_counted_and_named(capsys):
     """Names beyond the limit, names that are none and impossible values are counted; one line is logged, once."""
     infos = EpisodeInfos(1, "mytask.env:Cover")
     infos.add(0, {"a": {f"n{k}": 1.0 for k in range(MOST_INFOS + 2)}})
-    infos.add(0, {"a": {"a b": 1.0, 3: 1.0, "n0": math.nan, "n1": 1e30}})
+    infos.add(0, {"a": {"a b": 1.0, 3: 1.0, "n0": math.nan, "n1": 1e30, "n2": 10**400}})
     assert len(infos.means(0)) == MOST_INFOS
-    assert infos.refused == 6
-    assert infos.alarm.startswith("mytask.env:Cover: 6 numbers in infos are no metrics, among them '3', 'a b', 'n0'")
+    assert infos.refused == 7
+    assert infos.alarm.startswith("mytask.env:Cover: 7 numbers in infos are no metrics, among them '3', 'a b', 'n0'")
     assert capsys.readouterr().err.count("are no metrics") == 1
 
 

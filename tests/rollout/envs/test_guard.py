@@ -53,6 +53,7 @@ def tried(name, **arguments):
         ("none", r"step\(\) gave None; PettingZoo asks for one number as the reward of agent keeper_0"),
         ("list", r"step\(\) gave array\(\[1.\]\); PettingZoo asks for one number as the reward of agent keeper_0"),
         ("huge", r"step\(\) returned a reward of 3e\+07 for agent keeper_0; the largest is 1e\+07: scale .* down"),
+        ("long", r"step\(\) gave 10+.*; PettingZoo asks for one number as the reward of agent keeper_0"),
         ("nan", r"step\(\) returned a reward of nan for agent keeper_0; .*return a finite number"),
         ("rewardless", r"step\(\) gave {.*}; PettingZoo asks for a reward of agent keeper_0"),
         ("endless", r"step\(\) gave {.*}; PettingZoo asks for a termination of agent keeper_0"),

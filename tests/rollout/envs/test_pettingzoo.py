@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gymnasium import spaces
+from mytask.env import Cover
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
@@ -367,3 +368,30 @@ def test_actions_in_boxes_reach_every_value_and_stay_inside(space, sent, wanted)
         action = adapter.by_agent(row, {"a"})["a"]
         assert space.contains(action)
         assert action[0] == value
+
+
+class Shifted(Cover):
+    """Its actions and what it sees begin at an argument."""
+
+    def __init__(self, low=0, seen=1.0):
+        super().__init__()
+        self.low, self.seen = low, seen
+
+    def action_space(self, agent):
+        return spaces.Discrete(3, start=self.low)
+
+    def observation_space(self, agent):
+        return spaces.Box(-self.seen, self.seen, (4,), np.float32)
+
+
+def test_other_arguments_keep_the_actions():
+    """Arguments may change what can be seen, and not the actions, which other environments are still taking."""
+    with closing(PettingZooBatch(EnvConfig("mytask.env:Cover"), 2, boxes=False, make=Shifted)) as batch:
+        batch.reset(0, 0, 0)
+        batch.change_arguments('{"seen": 2.0}')
+        batch.reset(1, 0, 0)
+        assert [environment.wrapped.seen for environment in batch._environments] == [1.0, 2.0]
+        batch.change_arguments('{"low": 1}')
+        with pytest.raises(ConfigError, match="other action spaces"):
+            batch.reset(1, 0, 1)
+        assert batch._actions.by_agent(np.zeros(2), {"walker_0"}) == {"walker_0": 0}

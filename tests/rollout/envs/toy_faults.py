@@ -18,6 +18,7 @@ from toy_env import Relay
 from eia_sec import EnvironmentOutageError
 
 MARK = os.environ.get("TOY_MARK", "toy")
+REWARDS = {"none": None, "list": np.ones(1), "huge": 3e7, "long": 10**400, "nan": np.nan}
 
 
 class Raising(Relay):
@@ -86,7 +87,7 @@ class Wrong(Relay):
         seen, rewards, *others = super().step(actions)
         if self.what == "four":
             return seen, rewards, others[0], others[2]
-        rewards["keeper_0"] = {"none": None, "list": np.ones(1), "huge": 3e7, "nan": np.nan}.get(self.what, 1.0)
+        rewards["keeper_0"] = REWARDS.get(self.what, 1.0)
         if self.what == "rewardless":
             del rewards["keeper_0"]
         if self.what == "endless":
