@@ -15,7 +15,7 @@ MOST_STEPS: Final = 100_000
 
 @dataclass(frozen=True)
 class RewardSums:
-    """What is known of the step rewards R_v-i of agents.
+    """What is known of the step rewards of agents: R_v-i in noise-free episodes, r' (as learned from) in training.
 
     Attributes:
         steps: steps that count, with what is left of older ones.

@@ -29,7 +29,8 @@ class EventDeadline:
         self._late = 0
         self._due: int | None = None
         self._since: float | None = None
-        self._able: float | None = None
+        self._looked: float | None = None
+        self._waited = 0.0
 
     def holds(self, applied: int, episodes: int, since: int | None, *, expected: bool, now: float) -> bool:
         """Return whether new experience must wait for the next event.
@@ -52,11 +53,15 @@ class EventDeadline:
             episodes: finished episodes, lambda.
             since: finished episodes when agents got actors of their own; None while they share them.
             now: a monotonic clock, seconds.
-            able: whether the learner can apply an event now; time in which it cannot does not count.
+            able: whether the learner can apply an event now; time between two calls counts where it can at both.
         """
-        self._able = (now if self._able is None else self._able) if able else None
-        waited = -1.0 if self._able is None else now - self._able
-        if min(waited, self._lateness(applied, episodes, since, now)) < ALARM_SECONDS:
+        late = self._lateness(applied, episodes, since, now)
+        if late < 0.0:
+            self._waited = 0.0
+        elif able and self._looked is not None:
+            self._waited += min(late, now - self._looked)
+        self._looked = now if able else None
+        if self._waited < ALARM_SECONDS:
             return ""
         return (
             f"imitation event {applied + 1} was due at episode {self._due} and has not arrived; is a coordinator "
@@ -66,7 +71,7 @@ class EventDeadline:
     def _lateness(self, applied: int, episodes: int, since: int | None, now: float) -> float:
         """Return how many seconds the next event has been a cycle late, or -1 if it is not."""
         if self._counted != (applied, since):
-            self._counted, self._since = (applied, since), None
+            self._counted, self._since, self._waited = (applied, since), None, 0.0
             self._due = self._schedule.after(since).due_episode(applied + 1)
             self._late = 0 if self._due is None else self._due + self._schedule.cycle(applied + 1)
         if self._due is None or episodes < self._late:

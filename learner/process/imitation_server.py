@@ -69,6 +69,8 @@ class ImitationServer:
     def _require_due(self, event: ImitationEvent) -> None:
         """Raise SchemaError for an event that the configuration does not have, or not yet."""
         number, trainer = max(1, event.event), self._trainer
+        if event.event > trainer.events + 1:
+            raise SchemaError(f"imitation event {event.event} cannot follow event {trainer.events}.")
         if self._schedule.due_episode(number) is None:
             raise SchemaError(f"imitation event {event.event} never falls due in this run.")
         due = self._schedule.after(trainer.separate_since).due_episode(number)

@@ -7,7 +7,7 @@ SILENT_SECONDS, was started anew, or belongs to somebody else.
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
@@ -119,7 +119,7 @@ class Lease:
         self._key, self._token = _key(name, "step"), keys.ENVIRONMENT_LIVE.key(environment=name)
         self._number, self._payload = 0, b""
         self._orders: dict[int, Any] = {}
-        self._moving: list[int] = []
+        self._moving: dict[int, Any] = {}
         self._results: dict[int, dict[str, Any] | str] = {}
         self._pending: Pending | None = None
         self._sent = clock()
@@ -141,7 +141,7 @@ class Lease:
         copies = [self._orders.get(copy) for copy in range(self.copies)]
         request = StepRequest(self._whose.incarnation, self._whose.lease, self._number, copies)
         self._payload = request.encode()
-        self._moving, self._orders = sorted(self._orders), {}
+        self._moving, self._orders = self._orders, {}
         self._sent = self._clock()
         self._pending = self._link.request(self._key, self._payload, FIRST_SECONDS)
 
@@ -191,18 +191,23 @@ class Lease:
             self._results.update(dict.fromkeys(self._moving, printable(self.lost or f"{self.name}: {said}")))
 
     def _awaited(self, pending: Pending) -> StepAnswer:
-        """Return the answer with the number of what was sent; ask again until it comes."""
-        most, number = self.copies * self._agents.most_answer, self._number
+        """Return the answer to what was sent; ask again until it comes.
+
+        Raises:
+            SchemaError: it cannot be read, or has another request's number.
+            EnvironmentOutageError: the environment is away.
+        """
+        most = self.copies * self._agents.most_answer
         pause, silent = FIRST_SECONDS, 0.0
         while True:
             data = pending.answer()
             if data is not None:
                 answer = StepAnswer.decode(data, most)
-                if answer.sequence in (number, 0):
-                    return answer
-                COUNTS.refused += 1  # it belongs to an earlier request
+                if answer.sequence not in (self._number, 0):
+                    raise SchemaError("it has another request's number.")
+                return answer
             now = self._clock()
-            if data is None and not self._link.living(self._token):
+            if not self._link.living(self._token):
                 silent = silent or now
                 if now - silent >= SILENT_SECONDS:
                     raise EnvironmentOutageError(f"{self.name} has not been seen for {SILENT_SECONDS:.0f} s")
@@ -216,8 +221,9 @@ class Lease:
     def _note(self, answer: StepAnswer) -> None:
         if len(answer.copies) != self.copies:
             raise SchemaError("it has another number of copies.")
-        for copy in self._moving:
-            self._results[copy] = read_copy(answer.copies[copy], self._agents)
+        for copy, order in self._moving.items():
+            acted = order.keys() if isinstance(order, dict) else ()
+            self._results[copy] = read_copy(answer.copies[copy], self._agents, acted)
 
     def _renew(self, pause: float) -> None:
         """Keep an idle lease; a step that is under way keeps it by itself."""
@@ -228,8 +234,13 @@ class Lease:
                 self._link.request(_key(self.name, "renew"), self._whose.encode(), pause).answer()
 
 
-def read_copy(raw: Any, agents: Agents) -> dict[str, Any]:
+def read_copy(raw: Any, agents: Agents, acted: Collection[str]) -> dict[str, Any]:
     """Return a copy's part of a step's answer with Gymnasium's values.
+
+    Args:
+        raw: what msgpack has read.
+        agents: the environment's agents.
+        acted: the names of those that acted in this step; nobody where an episode begins.
 
     Raises:
         SchemaError: it has other fields, agents, types or sizes than docs/reference/remote_protocol.md says.
@@ -241,12 +252,18 @@ def read_copy(raw: Any, agents: Agents) -> dict[str, Any]:
         raise SchemaError("agents is no list of names of agents.")
     seen = {name: agents.seen[name].unpack(value) for name, value in _by_agent(raw, "observations", agents).items()}
     infos = {name: _info(value) for name, value in _by_agent(raw, "infos", agents).items()}
+    rewards = {name: _of(float, value) for name, value in _by_agent(raw, "rewards", agents).items()}
+    terminations = {name: _of(bool, value) for name, value in _by_agent(raw, "terminations", agents).items()}
+    truncations = {name: _of(bool, value) for name, value in _by_agent(raw, "truncations", agents).items()}
+    for name in set(acted).intersection(living):
+        if not (name in rewards and name in terminations and name in truncations):
+            raise SchemaError("an agent that acted and still lives has no reward, termination or truncation.")
     return {
         "agents": list(living),
         "observations": seen,
-        "rewards": {n: _of(float, value) for n, value in _by_agent(raw, "rewards", agents).items()},
-        "terminations": {n: _of(bool, value) for n, value in _by_agent(raw, "terminations", agents).items()},
-        "truncations": {n: _of(bool, value) for n, value in _by_agent(raw, "truncations", agents).items()},
+        "rewards": rewards,
+        "terminations": terminations,
+        "truncations": truncations,
         "infos": infos,
     }
 

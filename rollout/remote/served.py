@@ -24,7 +24,9 @@ CLAIM_SECONDS: Final = 5.0
 """Time that an environment has to answer a claim."""
 MOST_AGENTS: Final = 4096
 MOST_ANSWER: Final = 256 * 1024 * 1024
-"""Most bytes that a step of all copies may bring."""
+"""Most bytes that a step of all copies may take and bring."""
+LONGEST_LEASE: Final = 3600.0
+"""Longest time that a lease may last without being renewed, s."""
 
 
 class ServedEnvironments:
@@ -205,15 +207,16 @@ def agents_of(granted: ClaimAnswer) -> Agents:
         raise SchemaError(f"it names no agents, or more than {MOST_AGENTS}.")
     if len(set(names)) != len(names) or not len(names) == len(seen) == len(acts):
         raise SchemaError("it does not give each agent one name and two spaces.")
-    if not 0 < granted.copies <= MOST_COPIES or not granted.lease_seconds > 0.0:
-        raise SchemaError("it has no copies, too many of them, or a lease without time.")
+    if not 0 < granted.copies <= MOST_COPIES or not 0.0 < granted.lease_seconds <= LONGEST_LEASE:
+        raise SchemaError(f"it has no copies, too many, or no lease of at most {LONGEST_LEASE:.0f} s.")
     agents = Agents(
         tuple(names),
         {name: form_of(space) for name, space in zip(names, seen, strict=True)},
         {name: form_of(space) for name, space in zip(names, acts, strict=True)},
     )
-    if granted.copies * agents.most_answer > MOST_ANSWER:
-        raise SchemaError(f"a step of all its copies would bring more than {MOST_ANSWER // 2**20} MiB.")
+    sizes = agents.most_answer + sum(form.most for form in agents.acts.values())
+    if granted.copies * sizes > MOST_ANSWER:
+        raise SchemaError(f"a step of all its copies would take or bring more than {MOST_ANSWER // 2**20} MiB.")
     return agents
 
 

@@ -7,8 +7,8 @@ keeps the correction of every step's reward in `Environments.hindsight`. Rows th
     r' = r + s correction
 
 with a share s for each agent: at 0 the environment's own rewards, at 1 an agent's difference to the team. Corrections
-add to shaped rewards as well (`eia_sec.rollout.worker.reward_shaping`). Episode returns, evaluations and elite scores
-use r.
+add to shaped rewards as well (`eia_sec.rollout.worker.reward_shaping`). Episode returns and evaluations
+use r, and so do elite scores with `elite.farms`; scores from training use r'.
 
 A visit is corrected when the next visit of its plot or sensor happens. So chunks of whole episodes are exact. Where a
 chunk ends before its episode, visits whose next visit lies beyond its end stay paid in full.

@@ -8,7 +8,8 @@ potential Phi = +alpha_1 D_c t_step (Ng et al. 1999; `FarmBatch.potential`), a w
 
 in which the changes of D_c cancel and -(1 - gamma_s) alpha_1 D_c(k) t_step is left: the cost of being so far away in
 this step. At gamma_s = gamma the best policy stays the same; at another gamma_s it may differ. Only the rows that
-learners train on are shaped. Episode returns, evaluations and elite scores use r.
+learners train on are shaped. Episode returns and evaluations use r, and so do elite scores with `elite.farms`; scores
+from training use r'.
 
 A learner for which the time limit is terminal needs Phi = 0 after the last step. At gamma_s = 1 nothing is left of the
 positioning part then but -alpha_1 D_c t_step in the last step: where a relay ends is all that counts, and it is paid

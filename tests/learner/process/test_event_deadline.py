@@ -48,6 +48,14 @@ def test_a_learner_that_updates_is_not_waited_for():
     assert watch.alarm(0, 25, 0, able=True, now=101.0 + 2 * ALARM_SECONDS)
 
 
+def test_time_between_updates_adds_up():
+    """A learner that is able for 2 s and updates for 1 s, over and over, raises the alarm after the third time."""
+    watch = deadline()
+    said = [watch.alarm(0, 25, 0, able=second % 4 != 3, now=100.0 + second) for second in range(11)]
+    assert [bool(sentence) for sentence in said] == [False] * 9 + [True] * 2
+    assert watch.alarm(1, 45, 0, able=True, now=111.0) == ""
+
+
 def test_nothing_is_late_while_agents_share_their_actors():
     """Nothing is held before they part, and cycles count from there."""
     watch = deadline()

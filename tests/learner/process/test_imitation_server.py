@@ -26,7 +26,7 @@ def receipt(event, schedule=SCHEDULE, episodes=DUE, epoch=5, name="coordinator",
         attachment=Envelope("elite", name, 1, 1).encode(),
         reply=answers.append,
     )
-    trainer = SimpleNamespace(episodes=episodes, version=7, separate_since=since, imitate=lambda event: True)
+    trainer = SimpleNamespace(episodes=episodes, version=7, events=0, separate_since=since, imitate=lambda event: True)
     server = ImitationServer(SimpleNamespace(waiting=lambda: [request]), trainer, schedule, lease, 5, applied.append)
     server.answer()
     return ReceiptMessage.decode(answers[0]), server, applied
@@ -46,7 +46,9 @@ def test_a_due_event_is_applied():
         (replace(EVENT, episode=0), {}, f"falls due at episode {DUE}, not 0"),
         (replace(EVENT, rate=1.0), {}, "has the rate"),
         (replace(EVENT, rate=float("nan")), {}, ""),
-        (replace(EVENT, event=2), {}, f"event 2 falls due at episode {SCHEDULE.due_episode(2)}, not {DUE}"),
+        (replace(EVENT, event=2), {}, "event 2 cannot follow event 0"),
+        (replace(EVENT, event=1026), {}, "event 1026 cannot follow event 0"),
+        (replace(EVENT, event=2**40), {}, "cannot follow event 0"),
         (replace(EVENT, version=8), {}, "evaluated version 8, which does not exist"),
         (EVENT, {"schedule": ImitationSchedule(CONFIG.elite, enabled=False)}, "never falls due in this run"),
         (EVENT, {"schedule": ImitationSchedule(replace(CONFIG.elite, enabled=False))}, "never falls due in this run"),

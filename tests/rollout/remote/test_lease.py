@@ -2,11 +2,12 @@
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from eia_sec.common.errors import EnvironmentOutageError
+from eia_sec.common.errors import EnvironmentOutageError, SchemaError
 from eia_sec.common.protocol.environment_messages import (
     DONE,
     GAP,
@@ -28,6 +29,9 @@ from eia_sec.rollout.remote.lease import COUNTS, SILENT_SECONDS, Lease
 from eia_sec.rollout.remote.served import agents_of
 from tests.rollout.remote import second_environment
 from tests.rollout.remote.toy_served import Line
+
+HUGE = {"type": "box", "dtype": "<f8", "shape": [2**24], "low": 0.0, "high": 1.0}
+"""A space whose values take 128 MiB each."""
 
 
 class Network:
@@ -300,6 +304,7 @@ def test_copies_move_together() -> None:
         StepAnswer(DONE, "", 1, [{"agents": [], "observations": {"left": b"short"}}]).encode(),
         StepAnswer(DONE, "", 1, [{"agents": [], "rewards": {"left": "much"}}]).encode(),
         StepAnswer(DONE, "", 1, [{"agents": [], "infos": {"left": 3}}]).encode(),
+        StepAnswer(DONE, "", 2, [{"agents": []}]).encode(),
         b"\xdd\xff\xff\xff\xff",
     ],
 )
@@ -312,3 +317,42 @@ def test_an_answer_that_cannot_be_used_is_an_outage(answer: bytes) -> None:
     with pytest.raises(EnvironmentOutageError, match="site-a answers what cannot be used"):
         moved(lease, 1)
     assert COUNTS.refused == 1
+
+
+@pytest.mark.parametrize("left_out", ["rewards", "terminations", "truncations"])
+def test_an_agent_that_acted_and_lives_needs_reward_termination_and_truncation(left_out: str) -> None:
+    """An answer without one of them is an outage; an agent that has left needs none."""
+    said: dict[str, Any] = {
+        "rewards": {"left": 1.0},
+        "terminations": {"left": False},
+        "truncations": {"left": False},
+        "agents": ["left"],
+    }
+    desk = desk_of(Line())
+    network = Network(desk)
+    lease = claimed(network)
+    moved(lease, 1)
+    honest = StepAnswer(DONE, "", 2, [said]).encode()
+    network.request = lambda key, payload, timeout: Sent(network, timeout, honest)  # type: ignore[method-assign]  # it answers once
+    assert moved(lease, {"left": 0, "right": 0})["rewards"] == {"left": 1.0}
+    lying = StepAnswer(DONE, "", 3, [{**said, left_out: {}}]).encode()
+    network.request = lambda key, payload, timeout: Sent(network, timeout, lying)  # type: ignore[method-assign]  # and lies then
+    with pytest.raises(EnvironmentOutageError, match="acted and still lives has no reward, termination or truncation"):
+        moved(lease, {"left": 0})
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"lease_seconds": 3601.0}, "no lease of at most 3600 s"),
+        ({"lease_seconds": float("inf")}, "no lease of at most 3600 s"),
+        ({"lease_seconds": float("nan")}, "no lease of at most 3600 s"),
+        ({"action_spaces": [HUGE] * 2}, "take or bring more than 256 MiB"),
+        ({"observation_spaces": [HUGE] * 2}, "take or bring more than 256 MiB"),
+    ],
+)
+def test_a_claims_answer_that_asks_too_much_is_refused(other: dict[str, Any], said: str) -> None:
+    """Neither memory is taken nor a thread started for it."""
+    granted, _ = _granted(desk_of(Line()))
+    with pytest.raises(SchemaError, match=said):
+        agents_of(replace(granted, **other))
