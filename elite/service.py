@@ -85,6 +85,7 @@ class Coordinator:
     def __init__(self, options: CoordinatorOptions, config: RunConfig, team: TeamSpec, control: Bus) -> None:
         self._options, self._config, self._team, self._bus = options, config, team, control
         self._schedule = ImitationSchedule.of(config)
+        self._parts = config.imitates and config.learns_on_policy and config.on_policy.shared_until < 1.0
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._tokens = control.watch(keys.LIVE.pattern(options.run, role="rollout"), 1024)
         self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run))
@@ -171,15 +172,15 @@ class Coordinator:
     def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> Loop[None]:
         number = now.events + 1
         due = self._schedule.after(now.separate_since).due_episode(number)
-        rewards, version, flown = self._rewards, now.version, 0
+        rewards, version, evaluation_steps = self._rewards, now.version, 0
         if self._config.elite.farms:
             found = yield from self._evaluate(number, now, stop)
             if found is None:
                 return
-            rewards, version, flown = found
+            rewards, version, evaluation_steps = found
         if due is None or not rewards.steps:
             return
-        event = decide(self._team, self._config.elite, number, version, due, rewards, flown)
+        event = decide(self._team, self._config.elite, number, version, due, rewards, evaluation_steps)
         message = ImitationMessage.of(event, now.epoch)
         if (yield from self._deliver(message, stop)):
             self._announcer.put(message.encode())
@@ -304,7 +305,7 @@ class Coordinator:
             "failures": self._failures,
             "malformed": self._malformed,
             "leads": self._leads,
-            "shared": self._config.imitates and self._now is not None and self._now.separate_since is None,
+            "shared": self._parts and self._now is not None and self._now.separate_since is None,
             "rate": self._last.rate if self._last else 0.0,
             "elites": {name: int(np.argmax(omega)) for name, omega in zip(names, found, strict=False)},
             "scores": {name: omega.tolist() for name, omega in zip(names, found, strict=False)},

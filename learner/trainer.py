@@ -60,7 +60,7 @@ class Trainer(ABC):
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         separate_since: episodes that were finished when agents got actors of their own; None while they share them.
-        rewards: of each agent in training, since agents got actors of their own.
+        rewards: of each agent in training, since agents got actors of their own; before that from the beginning.
         recent: the newest finished episodes.
     """
 

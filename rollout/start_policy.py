@@ -18,7 +18,8 @@ from eia_sec.common.team import Float32, GroupSpec, TeamSpec
 from eia_sec.rollout.shipped_policies import SHIPPED, is_file, policy_path, preset_of
 
 MISFIT: Final = (
-    "Observations, actions or networks differ. Leave the option empty to begin with fresh actors, "
+    "Observations, actions or networks differ, or it is a policy of single agents, which begins only agents that are "
+    "separate from the beginning (--algorithm.shared-until 0). Leave the option empty to begin with fresh actors, "
     "or name other types in it."
 )
 StartParameters = tuple[Float32 | None, ...]

@@ -11,6 +11,7 @@ from eia_sec.common.config.run import RunConfig
 SWITCHES: Final = (
     ("algorithm.ensemble_", "algorithm.ensemble", False),
     ("elite.", "elite.enabled", False),
+    ("elite.", "algorithm.shared_until", 1.0),
     ("algorithm.sequence_", "algorithm.memory", "none"),
     ("env.", "env.name", FARM),
     ("farm.dynamics.", "farm.dynamics.model", "instant"),

@@ -33,8 +33,8 @@ _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a nu
 FORMAT: Final = 1
 """Number of the form of a saved configuration.
 
-It rises when an option is renamed, removed or means something else, and when a new one's default is not what versions
-without it did."""
+It rises when an option is renamed, removed or means something else, when a new one's default is not what versions
+without it did, or when a default changes."""
 _FORMAT_KEY: Final = "format"
 
 Value = bool | int | float | str | PluginNames | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
@@ -47,8 +47,8 @@ _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
 _LONG: Final = 8
-_BUDGETS: Final = ("episodes", "steps")
 """Longest list that a message shows in full."""
+_BUDGETS: Final = ("episodes", "steps")
 
 
 def flatten(config: Any) -> dict[str, Value]:

@@ -5,9 +5,9 @@ A space is a map with a `type`; a value's form follows from its space alone:
 | type | further fields | a value |
 |---|---|---|
 | box | dtype, shape, low, high | the numbers' bytes, row-major, little-endian |
-| discrete | n, start | whole number |
-| multi_discrete | nvec, start | list of whole numbers |
-| multi_binary | shape | one byte for each bit, row-major |
+| discrete | n, start | whole number, at least start and below start + n |
+| multi_discrete | nvec, start | list of whole numbers, each as that of a discrete |
+| multi_binary | shape | one byte for each bit, 0 or 1, row-major |
 | dict | spaces: list of [key, space] | map |
 | tuple | spaces: list of spaces | list |
 
@@ -115,15 +115,14 @@ def form_of(space: Any, depth: int = 0) -> Form:
     if kind == "box":
         return Box(space)
     if kind == "discrete":
-        _whole(space, "n", 1)
-        return Discrete(_whole(space, "start", -(2**62)))
+        return Discrete(_whole(space, "n", 1), _whole(space, "start", -(2**62)))
     if kind == "multi_discrete":
-        _wholes(space, "nvec", 1)
-        if len(_wholes(space, "start", -(2**62))) != len(space["nvec"]):
+        nvec, start = _wholes(space, "nvec", 1), _wholes(space, "start", -(2**62))
+        if len(start) != len(nvec):
             raise SchemaError("a multi_discrete space has other numbers of options and of starts.")
-        return MultiDiscrete(len(space["nvec"]))
+        return MultiDiscrete(nvec, start)
     if kind == "multi_binary":
-        return Box({**space, "dtype": "|i1", "low": 0, "high": 1})
+        return MultiBinary(space)
     parts = space.get("spaces")
     if kind not in ("dict", "tuple") or not isinstance(parts, list) or len(parts) > MOST_PARTS:
         raise SchemaError(f"a space is of type {str(kind)[:40]!r}, or without its parts.")
@@ -197,44 +196,62 @@ class Box:
         return np.frombuffer(raw, self.dtype).reshape(self.shape).copy()
 
 
+class MultiBinary(Box):
+    """Several bits."""
+
+    def __init__(self, space: Space) -> None:
+        super().__init__({**space, "dtype": "|i1", "low": 0, "high": 1})
+
+    def pack(self, value: Any) -> bytes:
+        """Return a byte for each bit; raise ValueError or TypeError for anything else."""
+        if not np.isin(value, (0, 1)).all():
+            raise ValueError("bits are 0 or 1")
+        return super().pack(value)
+
+    def unpack(self, raw: Any) -> NDArray[Any]:
+        """Return an array of its own; raise SchemaError for anything but a byte of 0 or 1 for each bit."""
+        bits = super().unpack(raw)
+        if not np.isin(bits, (0, 1)).all():
+            raise SchemaError("a value of a multi_binary space holds something else than 0 and 1.")
+        return bits
+
+
 class Discrete:
     """A choice."""
 
-    def __init__(self, start: int) -> None:
+    def __init__(self, options: int, start: int) -> None:
+        self._options = range(start, start + options)
         self.most = PART_BYTES
 
     def pack(self, value: Any) -> int:
-        """Return the whole number."""
+        """Return the whole number; raise ValueError or TypeError for one that is no option."""
+        if int(value) not in self._options:
+            raise ValueError(f"{value} is none of {self._options}")
         return int(value)
 
     def unpack(self, raw: Any) -> int:
-        """Return the whole number; raise SchemaError for anything else."""
-        if type(raw) is not int or not -(2**63) <= raw < 2**63:
-            raise SchemaError("a value of a discrete space is no whole number.")
+        """Return the whole number; raise SchemaError for anything but an option."""
+        if type(raw) is not int or raw not in self._options:
+            raise SchemaError("a value of a discrete space is none of its options.")
         return raw
 
 
 class MultiDiscrete:
     """Several choices."""
 
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self.most = PART_BYTES + 9 * size
+    def __init__(self, options: list[int], start: list[int]) -> None:
+        self._choices = [Discrete(*choice) for choice in zip(options, start, strict=True)]
+        self.most = PART_BYTES + 9 * len(options)
 
     def pack(self, value: Any) -> list[int]:
-        """Return the whole numbers."""
-        numbers = [int(number) for number in np.ravel(value)]
-        if len(numbers) != self._size:
-            raise ValueError(f"{len(numbers)} choices in a space of {self._size}")
-        return numbers
+        """Return the whole numbers; raise ValueError or TypeError for others than options."""
+        return [choice.pack(number) for choice, number in zip(self._choices, np.ravel(value), strict=True)]
 
     def unpack(self, raw: Any) -> NDArray[np.int64]:
-        """Return [size] whole numbers; raise SchemaError for anything else."""
-        if not isinstance(raw, list) or len(raw) != self._size:
-            raise SchemaError(f"a value of a multi_discrete space is no list of {self._size}.")
-        if not all(type(number) is int and -(2**63) <= number < 2**63 for number in raw):
-            raise SchemaError("a value of a multi_discrete space holds something else than whole numbers.")
-        return np.array(raw, np.int64)
+        """Return [choices] whole numbers; raise SchemaError for anything but an option of each choice."""
+        if not isinstance(raw, list) or len(raw) != len(self._choices):
+            raise SchemaError(f"a value of a multi_discrete space is no list of {len(self._choices)}.")
+        return np.array([choice.unpack(number) for choice, number in zip(self._choices, raw, strict=True)], np.int64)
 
 
 class Dict:

@@ -58,13 +58,13 @@ def train_with(collector: Collector, config: RunConfig, watch: Watch) -> Trainer
         if trainer.changes != published or not trainer.publishes_at_once:
             version, published = trainer.next_version(), trainer.changes
         while (due := schedule.after(trainer.separate_since)).is_due(trainer.events, trainer.episodes):
-            number, rewards, flown = trainer.events + 1, trainer.rewards, 0
+            number, rewards, evaluation_steps = trainer.events + 1, trainer.rewards, 0
             if config.elite.farms:
                 reward, steps = run_noise_free_episodes(config, trainer.actors(), *evaluation_plan(config, number))
-                flown = int(steps.sum())
-                rewards = RewardSums.of(reward, flown)
+                evaluation_steps = int(steps.sum())
+                rewards = RewardSums.of(reward, evaluation_steps)
             episode = due.due_episode(number) or 0
-            trainer.imitate(decide(trainer.team, config.elite, number, version, episode, rewards, flown))
+            trainer.imitate(decide(trainer.team, config.elite, number, version, episode, rewards, evaluation_steps))
             version, published = trainer.next_version(), trainer.changes
         actors, seen_steps = trainer.actors(), trainer.environment_steps
         progress = trainer.progress

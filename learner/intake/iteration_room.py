@@ -55,7 +55,8 @@ class _Flight:
 class IterationRoom:
     """The room of the open iteration, who flies for it, and who waits.
 
-    The receiver's thread asks, and the learner's opens iterations.
+    The receiver's thread asks, and the learner's opens iterations. Versions that differ by an imitation alone make no
+    chunk older. A restart of the learner forgets which these were, so chunks of before count as older than they are.
 
     Args:
         limits: S, c and L.
@@ -133,8 +134,7 @@ class IterationRoom:
             if len(others) < len(self._held):
                 self._held, answers = others, [lambda: reply(0, 0)]
             elif not others and (self._steps is None or self._free() > 0):
-                oldest = self._version + self._ahead - (self._limits.most_lag or 0)
-                answers = [self._grant(worker, reply, oldest)]
+                answers = [self._grant(worker, reply, self._oldest())]
             else:
                 self._held.append(_Held(worker, reply))
                 answers = []
@@ -180,6 +180,13 @@ class IterationRoom:
     def _age(self, version: int) -> int:
         """Return the age that a chunk taken in now has when it is learned from, in versions."""
         return self._version + self._ahead - version - sum(event > version for event in self._imitations)
+
+    def _oldest(self) -> int:
+        """Return the oldest version whose chunks may still be taken in, at least 0."""
+        oldest = max(0, self._version + self._ahead - (self._limits.most_lag or 0))
+        while oldest > 0 and self._age(oldest - 1) <= (self._limits.most_lag or 0):
+            oldest -= 1
+        return oldest
 
     def _budget(self) -> int:
         """Return the environment steps of the newest policy that are still learned from."""

@@ -16,6 +16,7 @@ from torch import Tensor
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import CheckpointError
+from eia_sec.common.log import log
 from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
@@ -146,6 +147,7 @@ class OnPolicyTrainer(Trainer):
         if self.separate_since is None and self._algorithm.shared_until <= self.progress < 1.0:
             self._updates, self.separate_since = self._updates.separated(), self.episodes
             self.rewards = RewardSums.none(self.team.agents)
+            log(f"agents have actors of their own from episode {self.episodes} on.")
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""

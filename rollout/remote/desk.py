@@ -69,7 +69,9 @@ class Desk:
                 return self._claim(ClaimRequest.decode(payload))
             if verb == "step":
                 return self._step(StepRequest.decode(payload, self._limit))
-            return self._keep(verb, LeaseRequest.decode(payload))
+            if verb in ("renew", "release"):
+                return self._keep(verb, LeaseRequest.decode(payload))
+            raise SchemaError("there is no such request.")
         except SchemaError as error:
             return self._refuse(verb, MALFORMED, str(error))
 

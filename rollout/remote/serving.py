@@ -1,6 +1,7 @@
 """Serves a PettingZoo parallel environment to the workers of a run; see `serve`."""
 
 import math
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,8 @@ CAPACITY: Final = 64
 """Requests that may wait while the environment steps; one more ends the oldest, which its worker sends again."""
 NAMESAKE_SECONDS: Final = 10.0
 """Time after which a former process of this name is gone, unless it is still served."""
+LOOK_SECONDS: Final = 0.2
+"""Pause between two looks for another process of this name."""
 SAID_SECONDS: Final = 60.0
 """Pause between two log lines about a listener that does not answer."""
 
@@ -84,6 +87,7 @@ def _require_unserved(bus: Bus, name: str) -> None:
     while bus.living(key):
         if monotonic() > deadline:
             raise EndpointError(f"another process serves an environment named {name} there; choose another name.")
+        time.sleep(LOOK_SECONDS)
 
 
 class _Told:

@@ -137,6 +137,10 @@ LINES = [
     ),
     ([*EIA_SEC, "--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
     (
+        ["--algorithm", "eia-ppo", "--algorithm.shared-until", "1", "--elite.cycle", "4"],
+        "elite.cycle has no effect while algorithm.shared_until is 1.0.",
+    ),
+    (
         ["--algorithm", "sec"],
         f"algorithm.name must be one of {named(AlgorithmConfig)}, not 'sec'.",
     ),

@@ -82,17 +82,18 @@ def test_strictly_on_policy_nobody_flies_during_updates():
     assert field.answers["0"][0] == 2
 
 
+@pytest.mark.parametrize("imitated", [(), (6,), (5, 6), (4,)])
 @pytest.mark.parametrize("most_lag", [0, 1, 3])
-def test_an_answer_asks_for_a_version_that_is_still_learned_from(most_lag):
-    """A worker that is answered at once may fly with the oldest version that is not refused."""
+def test_an_answer_asks_for_a_version_that_is_still_learned_from(most_lag, imitated):
+    """A worker that is answered at once may fly with the oldest version that is not refused, imitations or not."""
     field = Field(workers=1, chunk=100, iteration=1000, most_lag=most_lag)
-    field.version = 6
-    field.room.set_version(6)
+    for version in (2, 3, 4, 5, 6):
+        field.room.set_version(version, imitated=version in imitated)
     field.land("0")
     (required, _) = field.answers["0"]
     with field.gate:
         assert field.room.refusal(required) == ""
-        assert field.room.refusal(required - 1) != ""
+        assert required == 0 or field.room.refusal(required - 1) != ""
 
 
 def test_a_worker_that_left_counts_until_its_chunk_would_be_too_old():

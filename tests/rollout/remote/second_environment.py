@@ -18,6 +18,10 @@ ACTS = {"type": "discrete", "n": 2, "start": 0}
 LEASE_SECONDS = 5.0
 
 
+def is_action(value):
+    return type(value) is int and 0 <= value - ACTS["start"] < ACTS["n"]
+
+
 class Counter:
     """Counts each agent's ones, for ten steps."""
 
@@ -94,7 +98,7 @@ class Environment:
         (order,) = request["copies"]
         if isinstance(order, int) and order >= 0:
             moved = self.counter.begin(order)
-        elif order.keys() == set(self.counter.living) and all(type(action) is int for action in order.values()):
+        elif order.keys() == set(self.counter.living) and all(is_action(action) for action in order.values()):
             moved = self.counter.step(order)
         else:
             raise ValueError(order)

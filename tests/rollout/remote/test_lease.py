@@ -22,6 +22,7 @@ from eia_sec.common.protocol.environment_messages import (
     StepAnswer,
     StepRequest,
 )
+from eia_sec.common.protocol.environment_values import form_of
 from eia_sec.rollout.remote import lease as lease_module
 from eia_sec.rollout.remote.copies import Copies
 from eia_sec.rollout.remote.desk import LEASE_SECONDS, REPEATED, Desk
@@ -225,17 +226,32 @@ def test_what_is_answered_to_repeats_and_to_strangers(answered: Callable[[str, b
     assert step(4, [3]).status == GAP
     for strange in ([], [3, 3], [-1], ["x"], [{left: 0}], [{left: 0, "other": 0}], [{left: 0, right: "x"}]):
         assert step(3, strange).status == MALFORMED
+    for action in (-1, 3, 10**9, True):
+        assert step(3, [{left: 0, right: action}]).status == MALFORMED
     assert step(3, [3], lease=granted.lease + 1).status == LOST
     assert step(3, [3], before=1).status == LOST
     assert ClaimAnswer.decode(answered("claim", claim)).status == TAKEN
     assert StepAnswer.decode(answered("step", b"\xc1")).status == MALFORMED
     assert [keep("renew"), keep("renew", granted.lease + 1)] == [DONE, LOST]
+    assert keep("extend") == MALFORMED
     assert step(3, [{left: 1, right: 0}]).status == DONE
     assert [keep("release"), keep("release")] == [DONE, LOST]
     assert step(4, [3]).status == LOST
     assert ClaimAnswer.decode(answered("claim", claim)).status == LOST
     assert ClaimAnswer.decode(answered("claim", ClaimRequest("run/1", 6).encode())).lease == granted.lease + 1
     assert step(1, [3]).status == LOST
+
+
+def test_an_unknown_request_renews_nothing() -> None:
+    """Only the requests that the page names keep a lease."""
+    now = [0.0]
+    desk = Desk(Copies([Line()]), 7, lambda: now[0])
+    claim = ClaimAnswer.decode(desk.answer("claim", ClaimRequest("run/0", 1).encode()))
+    now[0] = LEASE_SECONDS - 0.1
+    strange = LeaseAnswer.decode(desk.answer("extend", LeaseRequest(7, claim.lease).encode()))
+    assert (strange.status, desk.counts) == (MALFORMED, {MALFORMED: 1})
+    now[0] = LEASE_SECONDS
+    assert ClaimAnswer.decode(desk.answer("claim", ClaimRequest("run/1", 2).encode())).status == DONE
 
 
 def test_every_refusal_is_counted() -> None:
@@ -356,3 +372,28 @@ def test_a_claims_answer_that_asks_too_much_is_refused(other: dict[str, Any], sa
     granted, _ = _granted(desk_of(Line()))
     with pytest.raises(SchemaError, match=said):
         agents_of(replace(granted, **other))
+
+
+@pytest.mark.parametrize(
+    ("space", "fits", "strange"),
+    [
+        ({"type": "discrete", "n": 3, "start": 5}, [5, 7], [4, 8, 10**9, True, "5"]),
+        (
+            {"type": "multi_discrete", "nvec": [2, 3], "start": [0, -1]},
+            [[0, -1], [1, 1]],
+            [[2, 0], [0, 2], [0, -2], [10**9, 0], [0], 0],
+        ),
+        ({"type": "multi_binary", "shape": [2]}, [b"\0\1"], [b"\0\2", b"\xff\0", b"\0"]),
+    ],
+)
+def test_only_options_of_a_space_are_read_and_sent(space: dict[str, Any], fits: list[Any], strange: list[Any]) -> None:
+    """A robot gets no choice that its space does not have."""
+    form = form_of(space)
+    for raw in fits:
+        assert form.pack(form.unpack(raw)) == raw
+    for raw in strange:
+        with pytest.raises(SchemaError):
+            form.unpack(raw)
+    outside = [2, 2] if space["type"] != "discrete" else 2
+    with pytest.raises(ValueError, match=r"none of|0 or 1"):
+        form.pack(outside)
