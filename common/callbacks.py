@@ -59,7 +59,7 @@ class TrainingProgress(ABC):
     def set_arguments(self, **arguments: Any) -> None:
         """Change arguments of the environment, as `env.arguments` names them; others stay.
 
-        Each environment is made anew when its next episode begins.
+        Each environment is made anew when its next episode begins. A run that is resumed goes on with them.
 
         Raises:
             ConfigError: the run's environment takes no arguments, one is no JSON value, or they are too long.

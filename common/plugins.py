@@ -12,14 +12,18 @@ What a plug-in offers is named as module:name and imported where it is used, so 
 load torch for it.
 """
 
+import functools
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from importlib.metadata import entry_points
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from eia_sec.common.callbacks import Callback
 from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, AlgorithmConfig, IppoConfig
+from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.plugin_names import LOADED, PluginNames
 from eia_sec.common.errors import PluginError
 from eia_sec.common.names import is_name
@@ -78,7 +82,7 @@ def load(name: str) -> None:
     found = _imported(name)
     if not isinstance(found, Plugin):
         raise PluginError(
-            f"plug-in {name}: {MEMBER} is {_kind(found)}, and must be an eia_sec.Plugin; set {MEMBER} = Plugin(...) in "
+            f"plug-in {name}: {MEMBER} is {_type(found)}, and must be an eia_sec.Plugin; set {MEMBER} = Plugin(...) in "
             "its module."
         )
     _check_names(name, found)
@@ -98,20 +102,29 @@ def environment(name: str) -> str:
     return next((own.environments[name] for own in _PLUGINS.values() if name in own.environments), name)
 
 
+def require_heuristics_beside(names: Sequence[str]) -> None:
+    """Raise PluginError for a heuristic of a plug-in that has one of these names."""
+    for plugin, own in _PLUGINS.items():
+        if taken := sorted({*names} & {*own.heuristics}):
+            raise PluginError(f"plug-in {plugin}: the name {taken[0]} is taken.")
+
+
 def heuristic(name: str) -> Any:
     """Return a new heuristic of a plug-in, or None where none has this name.
+
+    Its methods raise PluginError for an exception of theirs.
 
     Raises:
         PluginError: it cannot be made, or it lacks a method.
     """
     for plugin, own in _PLUGINS.items():
         if name in own.heuristics:
-            return policy(own.heuristics[name], f"plug-in {plugin}: heuristic {name}")
+            return _Heuristic(own.heuristics[name], f"plug-in {plugin}: heuristic {name}")
     return None
 
 
-def policy(where: str, what: str) -> Any:
-    """Return a new policy of a class or function.
+class _Heuristic:
+    """A plug-in's heuristic.
 
     Args:
         where: module:name.
@@ -120,11 +133,14 @@ def policy(where: str, what: str) -> Any:
     Raises:
         PluginError: it cannot be made, or it lacks a method.
     """
-    found = _made(resolve(where, what), what)
-    for method in ("reset", "act"):
-        if not callable(getattr(found, method, None)):
-            raise PluginError(f"{what}: {where} has no method {method}; policies have reset and act.")
-    return found
+
+    def __init__(self, where: str, what: str) -> None:
+        found = _made(resolve(where, what), what)
+        for method in ("reset", "act"):
+            if not callable(getattr(found, method, None)):
+                raise PluginError(f"{what}: {where} has no method {method}; policies have reset and act.")
+        self.reset = guarded(found.reset, f"{what}: reset", (object,))
+        self.act = guarded(found.act, f"{what}: act", (np.ndarray,))
 
 
 def callbacks(named: Sequence[str]) -> list[Callback]:
@@ -137,14 +153,53 @@ def callbacks(named: Sequence[str]) -> list[Callback]:
         PluginError: one cannot be made, or is no callback.
     """
     made = []
+    for what, found in _callback_classes(named):
+        each = _made(found, what)
+        if not isinstance(each, Callback):
+            raise PluginError(f"{what} is {_type(each)}; it must derive from eia_sec.Callback.")
+        made.append(each)
+    return made
+
+
+def check_callbacks(named: Sequence[str]) -> None:
+    """Raise PluginError where `callbacks` would, as far as can be told without making one."""
+    for what, found in _callback_classes(named):
+        if not callable(found):
+            raise PluginError(f"{what} is {_type(found)}, and must be a class or a function.")
+        if isinstance(found, type) and not issubclass(found, Callback):
+            raise PluginError(f"{what} is a {found.__name__}; it must derive from eia_sec.Callback.")
+
+
+def _callback_classes(named: Sequence[str]) -> Iterator[tuple[str, Any]]:
     for plugin in named:
         for where in _PLUGINS[plugin].callbacks:
             what = f"plug-in {plugin}: callback {where}"
-            each = _made(resolve(where, what), what)
-            if not isinstance(each, Callback):
-                raise PluginError(f"{what} is {_kind(each)}; it must derive from eia_sec.Callback.")
-            made.append(each)
-    return made
+            yield what, resolve(where, what)
+
+
+def guarded(method: Callable[..., Any], where: str, wanted: tuple[type, ...]) -> Callable[..., Any]:
+    """Return a user's method that raises PluginError, which names it, for an exception or another result.
+
+    Args:
+        method: the method.
+        where: what it is, for errors.
+        wanted: types that it may return.
+    """
+
+    @functools.wraps(method)
+    def call(*given: Any, **named: Any) -> Any:
+        try:
+            found = method(*given, **named)
+        except PluginError:
+            raise  # of a method that this one has called
+        except Exception as error:  # a user's method may raise anything
+            raise PluginError(f"{where} raised {type(error).__name__}: {error}") from error
+        if not isinstance(found, wanted):
+            names = " or ".join(each.__name__ for each in wanted)
+            raise PluginError(f"{where} returned {_type(found)}, and must return a {names}.")
+        return found
+
+    return call
 
 
 def algorithm(name: str) -> tuple[str, type[Any]] | None:
@@ -158,7 +213,7 @@ def algorithm(name: str) -> tuple[str, type[Any]] | None:
             what = f"plug-in {plugin}: algorithm {name}"
             found = resolve(own.algorithms[name].learner, what)
             if not isinstance(found, type):
-                raise PluginError(f"{what}: {own.algorithms[name].learner} is {_kind(found)}, and must be a class.")
+                raise PluginError(f"{what}: {own.algorithms[name].learner} is {_type(found)}, and must be a class.")
             return plugin, found
     return None
 
@@ -190,20 +245,21 @@ def resolve(where: str, what: str) -> Any:
 
 def _imported(name: str) -> Any:
     known = [point for point in entry_points(group=GROUP) if point.name == name]
+    module = known[0].module if known else name
     try:
         if known:
             return known[0].load()
         return getattr(importlib.import_module(name), MEMBER, None)
-    except ModuleNotFoundError as error:
-        hint = "install its package, or name its folder in PYTHONPATH"
-        raise PluginError(f"there is no plug-in {name}: {error} ({hint}).") from error
     except Exception as error:  # a user's module may raise anything
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+            hint = "install its package, or name its folder in PYTHONPATH"
+            raise PluginError(f"there is no plug-in {name}: {error} ({hint}).") from error
         raise PluginError(f"plug-in {name} cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def _check_names(name: str, found: Plugin) -> None:
     others = {own for each in _PLUGINS.values() for own in (*each.heuristics, *each.environments)}
-    taken = others | set(ALGORITHM_CONFIGS)
+    taken = others | {*ALGORITHM_CONFIGS, FARM}
     for own in (*found.algorithms, *found.heuristics, *found.environments):
         if not isinstance(own, str) or not is_name(own):
             raise PluginError(f"plug-in {name}: {own!r} is no name of 1 to 63 letters, digits, '.', '_' or '-'.")
@@ -223,11 +279,11 @@ def _options(plugin: str, name: str, each: PluginAlgorithm) -> type[AlgorithmCon
     """Return the configuration class of an algorithm, whose `name` is the one it has in the plug-in."""
     what = f"plug-in {plugin}: algorithm {name}"
     if not isinstance(each, PluginAlgorithm):
-        raise PluginError(f"{what} is {_kind(each)}, and must be an eia_sec.PluginAlgorithm.")
+        raise PluginError(f"{what} is {_type(each)}, and must be an eia_sec.PluginAlgorithm.")
     options = each.options
     if not (isinstance(options, type) and issubclass(options, AlgorithmConfig) and is_dataclass(options)):
         raise PluginError(
-            f"{what}: its options are {_kind(options)}, and must be a dataclass derived from IppoConfig or another one."
+            f"{what}: its options are {_type(options)}, and must be a dataclass derived from IppoConfig or another one."
         )
     if not options.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # every dataclass has it
         raise PluginError(
@@ -249,14 +305,14 @@ def _has_default(option: Any) -> bool:
     return option.default is not option.default_factory  # both are MISSING where it has none
 
 
-def _made(kind: Any, what: str) -> Any:
-    if not callable(kind):
-        raise PluginError(f"{what} is {_kind(kind)}, and must be a class or a function.")
+def _made(found: Any, what: str) -> Any:
+    if not callable(found):
+        raise PluginError(f"{what} is {_type(found)}, and must be a class or a function.")
     try:
-        return kind()
+        return found()
     except Exception as error:  # a user's constructor may raise anything
         raise PluginError(f"{what}: making it raised {type(error).__name__}: {error}") from error
 
 
-def _kind(found: Any) -> str:
+def _type(found: Any) -> str:
     return "nothing" if found is None else f"a {type(found).__name__}"

@@ -33,6 +33,8 @@ _WHOLE: Final = re.compile(
 
 LARGEST: Final = 1e7
 """Largest absolute value in a row; observations are about 1, rewards up to some hundreds."""
+INFOS: Final = "infos"
+"""Where means over episodes hold the numbers of an environment's infos."""
 MOST_INFOS: Final = 32
 """Most numbers of an environment's infos in an episode's summary."""
 

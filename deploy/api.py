@@ -20,7 +20,7 @@ from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_of
 from eia_sec.deploy.local.run_directory import new_folder
 from eia_sec.deploy.python.environment_name import environment_name
-from eia_sec.deploy.python.run import Run
+from eia_sec.deploy.python.run import Run, without_timeout
 from eia_sec.deploy.python.training import train_elsewhere, train_here
 from eia_sec.rollout import evaluation
 from eia_sec.rollout.agent_policy import Policy
@@ -130,7 +130,7 @@ def evaluate(
     config = _whole(environment or FARM, preset or ("" if environment else preset_of(name)), elsewhere=False)
     config = with_values(config, dict(settings or {}))
     chosen = ActorPolicy(policy.actors) if isinstance(policy, Policy) else run_policy(name, config)
-    return evaluation.evaluate_run(config, chosen, farms, episodes, name=name)
+    return evaluation.evaluate_run(without_timeout(config), chosen, farms, episodes, name=name)
 
 
 def load_policy(

@@ -4,8 +4,6 @@ Those of plug-ins are found here as well. An exception in a method of theirs bec
 class and method.
 """
 
-import functools
-from collections.abc import Callable
 from typing import Any, Final
 
 from torch import Tensor
@@ -72,36 +70,19 @@ def require_algorithm(config: AlgorithmConfig) -> None:
 def _of_plugin(name: str, base: Any) -> Any:
     found = plugins.algorithm(name)
     assert found is not None  # else its configuration would not exist
-    plugin, kind = found
-    if not issubclass(kind, base):
+    plugin, own = found
+    if not issubclass(own, base):
         raise PluginError(
-            f"plug-in {plugin}: {kind.__qualname__} must derive from {base.__module__}.{base.__qualname__}, because "
+            f"plug-in {plugin}: {own.__qualname__} must derive from {base.__module__}.{base.__qualname__}, because "
             f"the options of {name} are those of an algorithm that learns {'on' if base is Ppo else 'off'} policy."
         )
-    if abstract := sorted(getattr(kind, "__abstractmethods__", ())):
-        raise PluginError(f"plug-in {plugin}: {kind.__qualname__} lacks the method {abstract[0]}.")
-    own = {each for part in kind.__mro__ if part.__module__.partition(".")[0] != "eia_sec" for each in vars(part)}
-    where = f"plug-in {plugin}: {kind.__module__}.{kind.__qualname__}"
+    if abstract := sorted(getattr(own, "__abstractmethods__", ())):
+        raise PluginError(f"plug-in {plugin}: {own.__qualname__} lacks the method {abstract[0]}.")
+    overridden = {each for part in own.__mro__ if part.__module__.partition(".")[0] != "eia_sec" for each in vars(part)}
+    where = f"plug-in {plugin}: {own.__module__}.{own.__qualname__}"
     guarded = {
-        method: _guarded(getattr(kind, method), f"{where}.{method}", wanted)
+        method: plugins.guarded(getattr(own, method), f"{where}.{method}", wanted)
         for method, wanted in RETURNED.items()
-        if method in own
+        if method in overridden
     }
-    return type(kind.__name__, (kind,), guarded)
-
-
-def _guarded(method: Callable[..., Any], where: str, wanted: tuple[type, ...]) -> Callable[..., Any]:
-    """Return a user's method whose exceptions and results are named."""
-
-    @functools.wraps(method)
-    def call(*given: Any, **named: Any) -> Any:
-        try:
-            found = method(*given, **named)
-        except Exception as error:  # a user's method may raise anything
-            raise PluginError(f"{where} raised {type(error).__name__}: {error}") from error
-        if not isinstance(found, wanted):
-            names = " or ".join(each.__name__ for each in wanted)
-            raise PluginError(f"{where} returned a {type(found).__name__}, and must return a {names}.")
-        return found
-
-    return call
+    return type(own.__name__, (own,), guarded)

@@ -165,8 +165,10 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
     """Return a policy for a run's environment: a plug-in's heuristic, or else as `policy_of`, random or a file.
 
     Raises:
+        PluginError: a plug-in's heuristic cannot be made, or has the name of a policy of this package.
         PolicyError: the policy does not exist or cannot be used.
     """
+    plugins.require_heuristics_beside(POLICIES)
     found: BatchPolicy[Any] | None = plugins.heuristic(name)
     if found is not None:
         return found

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from eia_sec.common.config.files import with_values
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import CallbackError, ConfigError, PolicyError, RunDirError
 from eia_sec.common.policy_file import load_policy
+from eia_sec.deploy.python.run import without_timeout
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SHORT = {"farm.world.steps": 20, "episodes": 2, "rollout.environments": 2, "rollout.chunk_steps": 20}
@@ -242,3 +244,43 @@ def test_a_run_directory_holds_the_run(tmp_path):
     assert (tmp_path / "run" / "metrics.jsonl").read_text().count('"kind": "episodes"') == 2
     with pytest.raises(RunDirError, match="already holds a run"):
         eia_sec.train(Cover, steps=80, settings=TINY, run_dir=tmp_path / "run")
+
+
+class EndsBadly(eia_sec.Callback):
+    """Raises when the run has ended."""
+
+    def on_end(self, training):
+        raise KeyError("nothing")
+
+
+def test_a_callback_that_fails_at_the_end_costs_no_policy(tmp_path):
+    """The policy and the run's end are on disk before `on_end`, and the folder is free again."""
+    with pytest.raises(CallbackError, match=r"on_end raised KeyError"):
+        eia_sec.train(Cover, steps=80, settings=TINY, callbacks=[EndsBadly()], run_dir=tmp_path / "run")
+    assert load_policy(tmp_path / "run" / "policy.safetensors")[1]["environment_steps"] == "80"
+    assert '"state": "finished"' in (tmp_path / "run" / "metrics.jsonl").read_text()
+    with pytest.raises(RunDirError, match="already holds a run"):  # and is not in use
+        eia_sec.train(Cover, steps=80, settings=TINY, run_dir=tmp_path / "run")
+
+
+def test_other_machines_need_the_runs_name():
+    """Two runs of one router must not have the same."""
+    with pytest.raises(ConfigError, match="connect needs run"):
+        eia_sec.train(Cover, connect="tcp/127.0.0.1:7447")
+
+
+def test_the_callers_process_is_not_ended():
+    """The limit of a call holds in workers; here it would end the program."""
+    config = with_values(preset("generic").with_environment("mytask.env:Cover"), {"env.step_timeout": 3.0})
+    assert without_timeout(config).env.step_timeout == 0.0
+    slow = []
+
+    class Sleepy(Cover):
+        def reset(self, seed=None, options=None):
+            if not slow:
+                slow.append(time.sleep(1.6))
+            return super().reset(seed, options)
+
+    globals()["Sleepy"], Sleepy.__qualname__ = Sleepy, "Sleepy"
+    run = eia_sec.train(Sleepy, steps=40, settings=TINY | {"env.step_timeout": 0.5})
+    assert run.config.env.step_timeout == 0.5

@@ -78,3 +78,13 @@ class EnvConfig:
         if not isinstance(found, dict):
             raise ConfigError('env.arguments must be a JSON object, {"N": 3} for instance.')
         return found
+
+
+def unusable_arguments(arguments: str | None) -> str:
+    """Return why a text cannot be an environment's arguments while a run trains, or an empty string."""
+    if arguments is None or len(arguments) > MOST_ARGUMENTS:
+        return f"an environment's arguments are a JSON object of at most {MOST_ARGUMENTS} characters."
+    try:
+        return "" if isinstance(json.loads(arguments), dict) else "an environment's arguments are a JSON object."
+    except (ValueError, RecursionError):
+        return "an environment's arguments are no JSON."

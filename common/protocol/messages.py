@@ -132,7 +132,7 @@ class ProgressMessage(Message):
         window: environment steps that a worker may have under way, NO_LIMIT where nothing limits them. A worker that
             has as many waits, because the learner would get what it flew too late (on policy).
         arguments: those that environments have from their next episodes on, a JSON object; empty for the configured
-            ones.
+            ones. A learner that resumes has those of its checkpoint.
         separate_since: as in the trainer, episodes that were finished when agents got actors of their own; None
             while they share them.
         reward_steps, reward_sums: of agents' rewards in training, see `eia_sec.common.reward_sums`; no sums before the

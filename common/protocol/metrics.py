@@ -77,7 +77,12 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "invalid requests: from unknown workers, against the rules of lockstep, or with a wildcard in the key",
         ),
         Metric("replaced", "requests", "requests from a worker's start that a newer start has replaced"),
-        Metric("arguments", "", "arguments that a command has given to the run's environments, JSON, or empty"),
+        Metric(
+            "arguments",
+            "",
+            "arguments that a callback or a command has given to the run's environments, JSON, or empty",
+        ),
+        Metric("stopped", "", "why a callback of a plug-in stopped the run, or empty"),
         Metric("malformed_commands", "requests", "requests that were no valid commands and were refused"),
         Metric("imitations_refused", "requests", "requests to imitate that schedule, team or lease exclude"),
         Metric(

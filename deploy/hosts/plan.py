@@ -5,6 +5,7 @@ from typing import Final
 
 from eia_sec.common.transport.credentials import Identity
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.local.code_options import env_options, plugin_options
 from eia_sec.deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
@@ -93,10 +94,13 @@ def worker(fleet: FleetSpec, places: Places, host: str, name: str) -> Process:
     """Return one worker."""
     config = fleet.config
     joining = _joining(fleet, places, Identity("rollout", name))
-    allowed = ("--env", config.env.name) if config.env.is_third_party else ()
     history = ("--history", f"{places.run_dir}/{HISTORY}/rollout-{name}.jsonl")
     return Process(
-        "rollout", name, host, ("rollout", *joining, *_shared(fleet), *history, *allowed), config.rollout.threads
+        "rollout",
+        name,
+        host,
+        ("rollout", *joining, *_shared(fleet), *history, *env_options(config)),
+        config.rollout.threads,
     )
 
 
@@ -109,17 +113,13 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
     resumed = "--resume-if-any" if places.begins else "--resume"
     kept = ("--run-dir", places.run_dir, *trained, resumed, "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
-    arguments = ("learner", *_plugins(fleet), "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
+    arguments = ("learner", *plugin_options(fleet.config), "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
 
 
 def _joining(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:
-    where = (*_plugins(fleet), "--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
+    where = (*plugin_options(fleet.config), "--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
     return (*where, "--patience", PATIENCE, *_tls(fleet, places, who))
-
-
-def _plugins(fleet: FleetSpec) -> tuple[str, ...]:
-    return tuple(word for name in fleet.config.plugins for word in ("--plugin", name))
 
 
 def _tls(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from eia_sec.common.protocol.messages import CommandMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.deploy.local.code_options import env_options, plugin_options
 from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 from eia_sec.deploy.local.supervisor import Child, Supervisor
 from eia_sec.rollout.worker.sender import UNDELIVERED
@@ -80,7 +81,7 @@ class TrainingProcesses:
         """Start all processes."""
         plan, where, folder = self._plan, str(self._plan.endpoint), self._plan.directory.path
         met = ["--connect", where, "--patience", str(JOIN_SECONDS)] if plan.router else ["--listen", where]
-        named = [word for name in plan.config.plugins for word in ("--plugin", name)]
+        named = plugin_options(plan.config)
         learner = ["learner", *named, "--run", plan.run, *met, "--run-dir", str(folder)]
         shared = ["--shared-memory"] if plan.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
@@ -91,9 +92,16 @@ class TrainingProcesses:
         self.supervisor.start("learner", learner, plan.config.learner.threads, again)
         joining = [*named, "--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]
         self.supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
-        allowed = ["--env", plan.config.env.name] if plan.config.env.is_third_party else []
         for index in range(plan.workers):
-            rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
+            rollout = [
+                "rollout",
+                *joining,
+                "--name",
+                str(index),
+                *env_options(plan.config),
+                *shared,
+                *self._tls(f"rollout.{index}"),
+            ]
             rollout += ["--history", str(folder / HISTORY / f"rollout-{index}.jsonl")]
             self.supervisor.start(f"rollout-{index}", rollout, plan.config.rollout.threads)
 

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from eia_sec.common.transitions import INFOS
+
 NAME_LENGTH: Final = 14
 """Most characters of a name."""
 MOST_DIGITS: Final = 6
@@ -26,8 +28,6 @@ class Curve:
     digits: int
 
 
-INFOS: Final = "infos"
-"""Where the learner's curves hold the numbers of infos."""
 LENGTH: Final = Curve("steps", "episode steps", 0)
 """Shown if the environment plots no episode metric."""
 

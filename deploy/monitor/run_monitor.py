@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final
 
+from eia_sec.common.callbacks import SHOWN
 from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import ProtocolError, SchemaError
 from eia_sec.common.protocol import keys
@@ -178,6 +179,10 @@ class RunMonitor:
         """Return the metrics of the learner's newest metric message, empty before the first."""
         learner = self._of(LEARNER)
         return dict(learner.values) if learner else {}
+
+    def stopped_by(self) -> str:
+        """Return why a callback of a plug-in has stopped the run, or an empty string."""
+        return str(self.learner_values().get("stopped", ""))[:SHOWN]
 
     @property
     def trains(self) -> bool:

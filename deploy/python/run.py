@@ -1,6 +1,6 @@
 """A run that a program has trained: its policy, and its evaluation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,6 +15,11 @@ NAME = "trained"
 """Name of the policy in an evaluation."""
 
 
+def without_timeout(config: RunConfig) -> RunConfig:
+    """Return the configuration without `env.step_timeout`, which would end the process of the program."""
+    return replace(config, env=replace(config.env, step_timeout=0.0))
+
+
 @dataclass(frozen=True)
 class Run:
     """A run that has ended.
@@ -24,7 +29,7 @@ class Run:
         actors: its actors, with the distribution that they explored by.
         environment_steps: environment steps that it learned from.
         episodes: training episodes finished.
-        stopped: why a callback stopped it; empty if it finished.
+        stopped: why a callback, of the program or of a plug-in, stopped it; empty if it finished.
         directory: its run directory, or None if nothing was saved.
     """
 
@@ -59,4 +64,4 @@ class Run:
             raise ConfigError(f"actors of {self.config.algorithm.name} have no distribution to draw actions from.")
         first = self.config.evaluation.first_farm
         policy = SampledPolicy(self.actors) if sampled else ActorPolicy(self.actors.noise_free())
-        return evaluate_run(self.config, policy, range(first, first + scenarios), episodes, name=NAME)
+        return evaluate_run(without_timeout(self.config), policy, range(first, first + scenarios), episodes, name=NAME)

@@ -1,26 +1,30 @@
 """Trains a run for a program, in its own process or by others, and calls its callbacks meanwhile."""
 
+import shlex
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from eia_sec.common import plugins
 from eia_sec.common.callbacks import Callback, call
 from eia_sec.common.config import RunConfig
-from eia_sec.common.errors import BusError, RunDirError
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import BusError, ConfigError, RunDirError
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.common.steered_progress import SteeredProgress
 from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.in_process import WORKER, train_with
 from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
 from eia_sec.deploy.local.training_processes import ProcessPlan, TrainingProcesses
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
-from eia_sec.deploy.python.run import Run
+from eia_sec.deploy.python.run import Run, without_timeout
 from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.process.curves import Curves
 from eia_sec.learner.process.metrics_log import MetricsLog
@@ -87,6 +91,12 @@ class _Elsewhere(SteeredProgress):
         """The learner's newest metrics."""
         return self.monitor.learner_values()
 
+    def note_end(self) -> None:
+        """Take over why a callback of a plug-in, which the learner calls, has stopped the run."""
+        self.monitor.update()
+        if not self.stopped and (reason := self.monitor.stopped_by()):
+            self.stop(reason)
+
     def repeat(self) -> None:
         """Set arguments again where a learner does not have them, because it was restarted."""
         if self._wanted and self.values.get("arguments", "") != self._wanted:
@@ -113,9 +123,11 @@ class _Elsewhere(SteeredProgress):
         return flattened({name: self.values.get(name, {}) for name in ("curves", "statistics")})
 
     def _change(self, arguments: str) -> None:
-        self._wanted = arguments
-        with suppress(BusError):  # `repeat` tries again
+        try:
             self._ask(arguments)
+        except BusError as error:
+            raise ConfigError(f"the learner refused the environment's arguments: {error}") from error
+        self._wanted = arguments  # `repeat` asks again if no answer came
 
 
 def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callback]) -> Run:
@@ -129,15 +141,16 @@ def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callb
     Raises:
         UsageError: the run is impossible, a folder or a callback cannot be used.
     """
-    spec = environment_spec(config, trial=True, patience=Outages(threading.Event()))
-    config.algorithm.require_types([group.name for group in spec.team.groups])
-    start_parameters(config, spec.team)
+    spec = _tried(config)
     directory = None if folder is None else _directory(config, folder)
-    if directory is not None:
-        directory.lock("train.lock")
-        directory.adopt(config, spec.team)
-    with patient_with(config), closing(Collector(config, WORKER, 0)) as collector:
-        progress, log = _InProcess(config, collector), MetricsLog(folder)
+    with ExitStack() as held:
+        if directory is not None:
+            directory.lock("train.lock")
+            held.callback(directory.unlock)
+            directory.adopt(config, spec.team)
+        held.enter_context(patient_with(without_timeout(config)))
+        collector = held.enter_context(closing(Collector(config, WORKER, 0)))
+        progress, log = _InProcess(config, collector), held.enter_context(closing(MetricsLog(folder)))
 
         def watch(trainer: Trainer, chunk: Chunk) -> bool:
             progress.trainer = trainer
@@ -149,16 +162,12 @@ def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callb
             return progress.stopped
 
         trainer = train_with(collector, config, watch)
-        call(callbacks, "on_end", progress)
-    state = "draining" if progress.stopped else "finished"
-    log.write("end", state=state, episodes=trainer.episodes, digest=trainer.actors().digest())
-    log.close()
-    if directory is not None:
         if failure := RunStorage(folder, config).write_policy(trainer):
             raise RunDirError(failure)
-        directory.unlock()
-    counts = trainer.environment_steps, trainer.episodes
-    return Run(config, trainer.actors(), *counts, progress.reason, folder)
+        state, reason = "draining" if progress.stopped else "finished", progress.reason
+        log.write("end", state=state, episodes=trainer.episodes, digest=trainer.actors().digest())
+        call(callbacks, "on_end", progress)  # last: it may raise
+    return Run(config, trainer.actors(), trainer.environment_steps, trainer.episodes, reason, folder)
 
 
 def train_elsewhere(
@@ -178,9 +187,8 @@ def train_elsewhere(
         UsageError: the run is impossible, a folder or a callback cannot be used, or nothing listens at `connect`.
         EiaSecError: the learner or all workers have failed.
     """
-    spec = environment_spec(config, trial=True, patience=Outages(threading.Event()))
-    config.algorithm.require_types([group.name for group in spec.team.groups])
-    start_parameters(config, spec.team)
+    spec = _tried(config)
+    plugins.check_callbacks(config.plugins)
     endpoint = Endpoint.parse(connect) if connect else free_endpoint()
     directory = _directory(config, folder)
     directory.lock("train.lock")
@@ -189,7 +197,7 @@ def train_elsewhere(
     processes, stop = TrainingProcesses(plan), StopSignal()
     if threading.current_thread() is threading.main_thread():  # elsewhere Ctrl-C reaches the main thread alone
         stop.install()
-    reason = ""
+    progress: _Elsewhere | None = None
     try:
         processes.start()
         bus = processes.connect(lambda: bool(stop))
@@ -197,17 +205,19 @@ def train_elsewhere(
             with bus:
                 progress = _Elsewhere(config, RunMonitor(bus, run), partial(processes.set_arguments, bus))
                 _watch(processes, progress, callbacks, stop)
-                if stop or progress.stopped:
+                if not processes.over and (stop or progress.stopped):
                     processes.drain(bus)
-                call(callbacks, "on_end", progress)
-                reason = progress.reason
     finally:
         processes.stop()
         stop.uninstall()
         directory.unlock()
     processes.raise_failure()
+    reason = "" if progress is None else progress.reason
+    if progress is not None:
+        call(callbacks, "on_end", progress)
     if stop:
-        raise KeyboardInterrupt(f"stopped; resume with eia-sec train --resume --run-dir {folder}")
+        again = shlex.join(["eia-sec", "train", "--resume", "--run-dir", str(folder), *code_options(config)])
+        raise KeyboardInterrupt(f"stopped; resume with {again}")
     return _ended(config, folder, reason)
 
 
@@ -221,6 +231,15 @@ def _watch(processes: TrainingProcesses, progress: _Elsewhere, callbacks: Sequen
             progress.repeat()
             call(callbacks, "on_progress", progress)
         stop.event.wait(REFRESH_SECONDS)
+    progress.note_end()
+
+
+def _tried(config: RunConfig) -> EnvironmentSpec:
+    """Return the run's environment after a trial; raise where it cannot be trained or begun with."""
+    spec = environment_spec(without_timeout(config), trial=True, patience=Outages(threading.Event()))
+    config.algorithm.require_types([group.name for group in spec.team.groups])
+    start_parameters(config, spec.team)
+    return spec
 
 
 def _ended(config: RunConfig, folder: Path, reason: str) -> Run:

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from eia_sec.common.config import RunConfig
+from eia_sec.common.config.environment import unusable_arguments
 from eia_sec.common.config.files import digest, method_of
-from eia_sec.common.errors import PolicyError, RunDirError
+from eia_sec.common.errors import CheckpointError, PolicyError, RunDirError
 from eia_sec.common.log import log
 from eia_sec.common.policy_file import save_policy
 from eia_sec.learner.checkpoint import files
@@ -36,6 +37,8 @@ class RunStorage:
         config: the run; checkpoints of another method are refused, see `eia_sec.common.config.files.method_of`.
 
     Attributes:
+        arguments: the environment's arguments as a callback or a command has set them, JSON, or empty; saved and
+            restored with the run.
         skipped: checkpoints that were due while the previous one was still being written.
         pause: seconds for which the newest checkpoint stopped training.
         longest_pause: the longest such pause.
@@ -47,6 +50,7 @@ class RunStorage:
         self._digest, self._method = digest(config), digest(method_of(config))
         self._writer = CheckpointWriter(directory / CHECKPOINTS, config.learner.keep_checkpoints) if directory else None
         self._identity = None if directory is None else _identity(directory)
+        self.arguments = ""
         self.skipped = 0
         self.pause = self.longest_pause = 0.0
 
@@ -100,6 +104,7 @@ class RunStorage:
             "intake": ledger.state(),
             "elapsed": elapsed,
             "epoch": epoch,
+            "arguments": self.arguments,
         }
         self._writer.start(tensors, manifest)
         self.pause = time.perf_counter() - started
@@ -145,6 +150,7 @@ class RunStorage:
         if manifest.get("method") != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
+        self.arguments = _arguments(manifest)
         ledger.restore(mapping(manifest, "intake"))
         trainer.restore(found.tensors, mapping(manifest, "trainer"))
         return elapsed, epoch
@@ -188,3 +194,11 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_dev, found.st_ino
+
+
+def _arguments(manifest: dict[str, Any]) -> str:
+    """Return the environment's arguments in a checkpoint, or empty; raise CheckpointError if they are none."""
+    found = manifest.get("arguments")
+    if not isinstance(found, str) or (found and unusable_arguments(found)):
+        raise CheckpointError("the checkpoint's arguments are not readable.")
+    return found

@@ -1,11 +1,10 @@
 """Answers the commands of other processes: configuration, lead, drain, arguments."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 
 from eia_sec.common.clock import monotonic
-from eia_sec.common.config.environment import MOST_ARGUMENTS
+from eia_sec.common.config.environment import unusable_arguments
 from eia_sec.common.errors import ProtocolError
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
@@ -28,7 +27,7 @@ class CommandServer:
     Attributes:
         lease: which coordinator leads.
         draining: whether a command asked the learner to drain.
-        arguments: the environment's arguments as a command has set them, JSON, or empty.
+        arguments: the environment's arguments as a callback or a command has set them, JSON, or empty.
         malformed: requests that could not be decoded.
     """
 
@@ -65,7 +64,7 @@ class CommandServer:
         incoming.reply(replace(self._configuration, newest_incarnation=newest).encode())
 
     def _set_arguments(self, incoming: Incoming, command: CommandMessage) -> None:
-        if (reason := _unusable(command.arguments)) is not None:
+        if reason := unusable_arguments(command.arguments):
             self.malformed += 1
             incoming.refuse(reason)
             return
@@ -88,13 +87,3 @@ class CommandServer:
         granted = self.lease.claim(claimant.name, claimant.incarnation, monotonic())
         holder = self.lease.holder[0] if self.lease.holder else ""
         incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:SHOWN_NAME]} leads.").encode())
-
-
-def _unusable(arguments: str | None) -> str | None:
-    """Return why a text is no environment's arguments, or None."""
-    if arguments is None or len(arguments) > MOST_ARGUMENTS:
-        return f"an environment's arguments are a JSON object of at most {MOST_ARGUMENTS} characters."
-    try:
-        return None if isinstance(json.loads(arguments), dict) else "an environment's arguments are a JSON object."
-    except (ValueError, RecursionError):
-        return "an environment's arguments are no JSON."

@@ -5,12 +5,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from eia_sec.common.team import TeamSpec
-from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.common.transitions import INFOS, EpisodeSummary
 
 SMOOTHED_EPISODES: Final = 40
 """Episodes in a moving average."""
-INFOS: Final = "infos"
-"""Where means hold the numbers of an environment's infos."""
 
 
 class Curves:

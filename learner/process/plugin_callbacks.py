@@ -60,6 +60,7 @@ class PluginCallbacks(SteeredProgress):
 
     def look(self) -> None:
         """Let them look at the run; drain if one stops it."""
+        self.arguments = self._commands.arguments or self.arguments  # a command or a checkpoint may have set them
         call(self._callbacks, "on_progress", self)
         if self.stopped and not self._commands.draining:
             log(f"draining, because a callback stops the run: {self.reason}")

@@ -81,6 +81,7 @@ class Learner:
         self._times, self._state = PhaseTimes(), "training"
         self._window = NO_LIMIT
         self._open_control(config, team, control, ledger)
+        self._commands.arguments = self._storage.arguments
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
         self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, elapsed)
         self._open_bulk(config, environment, bulk, ledger)
@@ -98,6 +99,7 @@ class Learner:
         self._callbacks = PluginCallbacks(
             config, plugins.callbacks(config.plugins), self.trainer, self._reporter, self._commands
         )
+        self._reporter.add(lambda: {"stopped": self._callbacks.reason})
         self._log_begin()
 
     def _log_begin(self) -> None:
@@ -280,6 +282,7 @@ class Learner:
     def _checkpoint(self, *, wait: bool = False) -> None:
         with self._times.measure("checkpoint"):
             ledger, elapsed = self._feed.ledger, self._reporter.elapsed
+            self._storage.arguments = self._commands.arguments
             if self._storage.save(self.trainer, ledger, elapsed, self._epoch, wait=wait):
                 self._compaction.on_checkpoint(ledger, failed=bool(self._storage.alarm))
         self._schedule.checkpoint_timer.restart(monotonic())
@@ -300,7 +303,6 @@ class Learner:
         self._publish_progress()
         self._checkpoint(wait=True)
         failure = self._storage.write_policy(self.trainer)
-        self._callbacks.end()
         self._report()
         self._reporter.log_end(state)
         log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")
@@ -312,6 +314,7 @@ class Learner:
         self._history.close()
         if failure:
             raise EiaSecError(failure)
+        self._callbacks.end()  # last: it may raise
 
     def _answer_while_draining(self) -> None:
         self._stop_if_replaced()

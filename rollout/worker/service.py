@@ -139,7 +139,7 @@ class Worker:
         self._options, self._config, self._control, self._stop = options, config, control, stop
         self._clock_alarm = _clock_alarm(answer.newest_incarnation)
         self._collector, self._outages, self._presence = collector, outages, presence
-        self._arguments = ""
+        self._arguments = config.env.arguments
         self._whole = _why_whole(config, lockstep=answer.lockstep)
         team = collector.team
         if team.to_dict() != answer.team:
@@ -235,7 +235,8 @@ class Worker:
 
     def _renew_arguments(self) -> None:
         """Hand arguments that the learner has published to the environments; they hold from the next episodes on."""
-        if (wanted := self._learner.arguments) and wanted != self._arguments:
+        wanted = self._learner.arguments or self._config.env.arguments
+        if wanted != self._arguments:
             self._arguments = wanted
             self._collector.change_arguments(wanted)
             log(f"worker {self._options.name}: episodes begin with the arguments {wanted[:200]} from now on.")

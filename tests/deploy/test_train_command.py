@@ -1,11 +1,13 @@
 """How many workers `eia-sec train` starts, and what it says of itself."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.files import with_values
+from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import preset
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
@@ -50,8 +52,15 @@ def test_who_asks_for_a_number_of_workers_gets_it(monkeypatch):
 
 def test_the_report_says_how_many_workers_there_were():
     """Where the number was left to the machine, the command that is kept has it; one that was given stands once."""
-    assert command_line(["--preset", "long"], None, 2) == ["eia-sec", "train", "--preset", "long", "--workers", "2"]
-    assert command_line(["--workers", "3"], 3, 3) == ["eia-sec", "train", "--workers", "3"]
+    assert command_line(["--preset", "long"], TrainArguments(), 2) == [
+        "eia-sec",
+        "train",
+        "--preset",
+        "long",
+        "--workers",
+        "2",
+    ]
+    assert command_line(["--workers", "3"], TrainArguments(workers=3), 3) == ["eia-sec", "train", "--workers", "3"]
 
 
 def test_the_hint_how_to_resume_names_what_no_configuration_holds(tmp_path):
@@ -64,6 +73,15 @@ def test_the_hint_how_to_resume_names_what_no_configuration_holds(tmp_path):
     assert resume_command(TrainArguments(tls=keys, settings=farm), tmp_path) == f"{begun} --tls {keys}"
     shared = TrainArguments(shared_memory=True, settings=other)
     assert resume_command(shared, tmp_path) == f"{begun} --shared-memory --env games:make"
+
+
+def test_commands_that_are_shown_name_plugins():
+    """`--plugin` was taken from the command line, and no configuration may choose what is loaded."""
+    named = TrainArguments(workers=1, settings=replace(RunConfig(), plugins=PluginNames(("mytask", "other"))))
+    assert command_line(["--seed", "1"], named, 1) == [
+        *("eia-sec", "train", "--plugin", "mytask", "--plugin", "other", "--seed", "1")
+    ]
+    assert resume_command(named, Path("run")).endswith("--resume --workers 1 --plugin mytask --plugin other")
 
 
 @pytest.mark.parametrize(("episodes", "said"), [(3, True), (4, False)])

@@ -22,6 +22,7 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
+from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.run_directory import RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -119,18 +120,21 @@ def command(arguments: Sequence[str]) -> int:
         shared_memory=options.shared_memory,
         tls=options.tls,
     )
-    _Training(plan, console).run()
+    training = _Training(plan, console)
+    training.run()
     finished = directory.finished()
     if finished and options.settings.env.served:
         # A robot moves only as long as it was asked to.
-        again = f"eia-sec evaluate --run-dir {directory.path} --env {shlex.quote(options.settings.env.name)}"
+        again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
         own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
         console.print(f"finished; evaluate with: {again} --endpoint {endpoint}{own}", highlight=False, soft_wrap=True)
     elif finished and options.report:
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
-        write_report(directory, options.settings, command_line(arguments, options.workers, workers), console)
+        write_report(directory, options.settings, command_line(arguments, options, workers), console)
     elif not finished:
+        if training.stopped:
+            console.print(f"a callback stopped the run: {training.stopped}", highlight=False, markup=False)
         console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
     return 0
 
@@ -151,10 +155,16 @@ def shortage(config: RunConfig, environment: EnvironmentSpec) -> str:
     )
 
 
-def command_line(arguments: Sequence[str], given: int | None, workers: int) -> list[str]:
-    """Return the command that made a run, with the number of workers where it was left to the machine."""
-    counted = ["--workers", str(workers)] if given is None else []
-    return ["eia-sec", "train", *arguments, *counted]
+def command_line(arguments: Sequence[str], options: TrainArguments, workers: int) -> list[str]:
+    """Return the command that made a run, with the number of workers where it was left to the machine.
+
+    Args:
+        arguments: the command line, from which `--plugin` was taken away.
+        options: what it said.
+        workers: how many there were.
+    """
+    counted = ["--workers", str(workers)] if options.workers is None else []
+    return ["eia-sec", "train", *plugin_options(options.settings), *arguments, *counted]
 
 
 def resume_command(options: TrainArguments, run: Path) -> str:
@@ -162,9 +172,8 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more = "" if options.workers is None else f" --workers {options.workers}"
     more += "" if options.tls is None else f" --tls {options.tls}"
     more += " --shared-memory" if options.shared_memory else ""
-    more += f" --env {shlex.quote(options.settings.env.name)}" if options.settings.env.is_third_party else ""
-    more += "".join(f" --plugin {name}" for name in options.settings.plugins)
-    return f"eia-sec train --run-dir {run} --resume{more}"
+    named = [shlex.quote(word) for word in code_options(options.settings)]
+    return " ".join([f"eia-sec train --run-dir {run} --resume{more}", *named])
 
 
 def worker_count(options: TrainArguments) -> int:
@@ -198,7 +207,7 @@ def _require_plugins(config: RunConfig) -> None:
         from eia_sec.learner.registry import require_algorithm  # noqa: PLC0415  (likewise)
 
         require_algorithm(config.algorithm)
-        plugins.callbacks(config.plugins)
+        plugins.check_callbacks(config.plugins)
 
 
 def _endpoint(options: TrainArguments, workers: int) -> Endpoint:
@@ -226,11 +235,18 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
 
 
 class _Training:
+    """The processes and the view of them.
+
+    Attributes:
+        stopped: why a callback of a plug-in stopped the run, or empty.
+    """
+
     def __init__(self, plan: ProcessPlan, console: Console) -> None:
         self._console = console
         self._stop = StopSignal()
         self._processes = TrainingProcesses(plan)
         self._printed = 0.0
+        self.stopped = ""
 
     def run(self) -> None:
         """Train until the learner is done or the user stops it; no process is left afterwards."""
@@ -241,9 +257,12 @@ class _Training:
             bus = processes.connect(lambda: bool(self._stop))
             if bus is not None:
                 with bus:
-                    self._watch(RunMonitor(bus, RUN))
+                    monitor = RunMonitor(bus, RUN)
+                    self._watch(monitor)
                     if self._stop:
                         self._drain(bus)
+                    monitor.update()
+                    self.stopped = monitor.stopped_by()
         finally:
             processes.stop()
             self._stop.uninstall()

@@ -12,6 +12,7 @@ from dataclasses import replace
 import pytest
 
 from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.hosts import agent, keeper
@@ -267,3 +268,13 @@ def test_without_proc_a_number_is_all_there_is(tmp_path, monkeypatch):
     child.kill()
     child.wait()
     assert not agent._is_ours(child.pid, tmp_path)
+
+
+def test_a_run_with_a_plugin_is_over_though_the_keeper_lacks_it(tmp_path):
+    """Texts that are equal need not be understood."""
+    os.makedirs(tmp_path / "run")
+    text = to_toml(replace(preset("quick"), plugins=PluginNames(("mytask",))))
+    for path in (tmp_path / "run" / "config.toml", tmp_path / "config.toml"):
+        path.write_text(text)
+    (tmp_path / "run" / "metrics.jsonl").write_text(json.dumps({"kind": "end", "state": "finished"}) + "\n")
+    assert agent._is_over(tmp_path)

@@ -11,7 +11,7 @@ import torch
 
 from eia_sec.common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig
 from eia_sec.common.config.presets import preset
-from eia_sec.common.errors import RunDirError
+from eia_sec.common.errors import CheckpointError, RunDirError
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.team import GroupSpec, TeamSpec
@@ -168,6 +168,7 @@ def test_a_skipped_checkpoint_is_no_mark_in_the_history():
     learner = object.__new__(Learner)
     learner._times, learner._reporter = PhaseTimes(), SimpleNamespace(elapsed=0.0)
     learner.trainer, learner._epoch, learner._feed = None, 1, SimpleNamespace(ledger="ledger")
+    learner._commands = SimpleNamespace(arguments="")
     learner._storage = SimpleNamespace(save=lambda *_, wait: next(begun), alarm="")
     learner._compaction = SimpleNamespace(on_checkpoint=lambda ledger, failed: marks.append((ledger, failed)))
     learner._schedule = SimpleNamespace(checkpoint_timer=SimpleNamespace(restart=lambda now: None))
@@ -282,3 +283,17 @@ def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
     other = RunStorage(tmp_path, replace(CONFIG, seed=12))
     with pytest.raises(RunDirError, match="another configuration"):
         other.restore(trainer, ledger)
+
+
+def test_the_environments_arguments_are_kept(tmp_path):
+    """A learner that resumes has the arguments that a callback has set; what are none is refused."""
+    trainer, storage = OffPolicyTrainer(CONFIG, TEAM), RunStorage(tmp_path, CONFIG)
+    storage.arguments = '{"size": 9}'
+    storage.save(trainer, Ledger(), 0.0, 1, wait=True)
+    again = RunStorage(tmp_path, CONFIG)
+    again.restore(trainer, Ledger())
+    assert again.arguments == '{"size": 9}'
+    storage.arguments = "[1]"
+    storage.save(trainer, Ledger(), 1.0, 1, wait=True)
+    with pytest.raises(CheckpointError, match="arguments are not readable"):
+        again.restore(trainer, Ledger())
