@@ -85,3 +85,34 @@ def test_a_plugin_is_known_to_every_process(tmp_path):
     exported = [*command, "export", "--run-dir", str(run), "--format", "safetensors", "--plugin", "mytask"]
     subprocess.run(exported, check=True)
     assert (run / "export" / "actors.safetensors").is_file()
+
+
+@pytest.mark.usefixtures("_importable")
+def test_a_plugins_callback_says_why_it_stopped_a_run(tmp_path, monkeypatch):
+    """The learner calls it; `Run.stopped` and the command's output have its reason, and the policy is kept."""
+    (tmp_path / "stopping.py").write_text(
+        "import eia_sec\n"
+        "class Stop(eia_sec.Callback):\n"
+        "    def on_progress(self, training):\n"
+        "        if training.environment_steps:\n"
+        "            training.stop('seen enough')\n"
+        "plugin = eia_sec.Plugin(callbacks=['stopping:Stop'])\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    run = eia_sec.train(
+        Cover, workers=1, steps=10**9, settings=SETTINGS, plugins=["stopping"], run_dir=tmp_path / "run"
+    )
+    assert run.stopped == "seen enough"
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in SETTINGS.items()]
+    command = [sys.executable, "-m", "eia_sec.deploy.cli", "train", "--plugin", "stopping", "--env", "mytask.env:Cover"]
+    shown = subprocess.run(
+        [*command, "--steps", "100000000", *options, "--run-dir", str(tmp_path / "again"), "--no-report"],
+        check=True,
+        timeout=300,
+        capture_output=True,
+        text=True,
+    ).stdout
+    assert "a callback stopped the run: seen enough" in shown
+    assert "--env mytask.env:Cover" in shown.replace("\n", " ")
+    assert "--plugin stopping" in shown.replace("\n", " ")

@@ -99,6 +99,7 @@ def a_collecting_worker(monkeypatch, cuts):
     worker, calls = an_ending_worker(monkeypatch, "training", False)
     worker._times.reported = clock.now
     worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
+    worker._config, worker._arguments = RunConfig(), RunConfig().env.arguments
     worker._whole = "" if cuts else "chunks are whole"
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
@@ -218,3 +219,14 @@ def test_an_evaluation_is_given_up_when_the_time_is_over():
         with pytest.raises(BusError, match="given up"):
             answered(there, evaluations, order)
         assert len(asked) == 9
+
+
+def test_a_worker_has_the_arguments_that_its_learner_publishes(monkeypatch):
+    """A learner that knows of no change, because it was restarted, has the configured ones."""
+    worker, _, _ = a_collecting_worker(monkeypatch, cuts=True)
+    given = []
+    worker._collector.change_arguments = given.append
+    for published in ("", '{"size": 9}', '{"size": 9}', ""):
+        worker._learner.arguments = published
+        worker._renew_arguments()
+    assert given == ['{"size": 9}', "{}"]
