@@ -28,13 +28,15 @@ def networks(trainer: OnPolicyTrainer) -> list[int]:
 
 
 @pytest.mark.parametrize("name", ["ippo", "mappo", "eia-ppo"])
-def test_agents_part_at_the_configured_share(name: str) -> None:
-    """Until then a type has one actor; from then on as many as agents, and the trainer knows since when."""
+def test_agents_part_at_the_configured_share(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Until then a type has one actor; from then on as many as agents, and trainer and log say since when."""
     trainer = OnPolicyTrainer(configured(name, shared_until=0.5), TEAM)
     iterations(trainer, 4)
     assert (networks(trainer), trainer.separate_since) == ([1, 1], None)
     iterations(trainer, 1)
     assert (networks(trainer), trainer.separate_since) == ([2, 3], 5)
+    iterations(trainer, 1)
+    assert capsys.readouterr().err.count("agents have actors of their own from episode 5 on.") == 1
 
 
 @pytest.mark.parametrize(("share", "since", "count"), [(1.0, None, [1, 1]), (0.0, 0, [2, 3])])
