@@ -109,6 +109,7 @@ def test_both_examples_are_one_orchard(here):
     np.testing.assert_allclose(offset, np.broadcast_to(offset[0], offset.shape), atol=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_kernel_equals_the_reference_on_a_loaded_farm(here, name):
     """Every quantity over an episode's first steps on a field of another size, types and plots of its own."""

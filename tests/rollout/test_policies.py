@@ -93,6 +93,7 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
         policy_of("trained", FarmConfig())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in shipped_policies.SHIPPED if name != "trained:eia-sec"])
 def test_every_shipped_policy_flies_its_farm_better_than_greedy(name):
     """On farms of its preset, which training never saw; the policy of `eia-sec` has a test of its own."""

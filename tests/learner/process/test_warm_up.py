@@ -48,6 +48,7 @@ def counted(algorithm: str, how: str) -> list[object]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["eia-sec", "matd3", "masac"])
 def test_a_warm_up_compiles_what_a_run_calls_and_changes_nothing_of_it(algorithm: str) -> None:
     """Updates after a warm-up find all compiled, and lead to the same weights as without it."""
