@@ -31,7 +31,7 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
     names = tuple(done[0].metrics) if done else ()
     values = [[e.metrics[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
-    info_names = tuple(sorted({name for e in done for name in e.infos}))[:MOST_INFOS]
+    info_names = tuple(sorted({name for e in done for name in e.infos}))
     infos = np.array([[e.infos.get(name, math.nan) for name in info_names] for e in done], np.float64)
     log_probability = chunk.rows.log_probability
     if log_probability is None:

@@ -29,6 +29,7 @@ from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.process.curves import Curves
 from eia_sec.learner.process.metrics_log import MetricsLog
 from eia_sec.learner.process.tensorboard import flattened
+from eia_sec.learner.process.trainer_progress import TrainerProgress
 from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.envs.registry import environment_spec, patient_with
 from eia_sec.rollout.start_policy import start_parameters
@@ -41,39 +42,17 @@ CALL_SECONDS: Final = 1.0
 """Time between two calls of callbacks, where other processes train."""
 
 
-class _InProcess(SteeredProgress):
+class _InProcess(TrainerProgress):
     """Training in this process."""
 
-    def __init__(self, config: RunConfig, collector: Collector) -> None:
-        super().__init__(config)
+    def __init__(self, config: RunConfig, trainer: Trainer, collector: Collector) -> None:
+        super().__init__(config, trainer)
         self._collector = collector
         self.curves = Curves(collector.team)
-        self.trainer: Trainer | None = None
-
-    @property
-    def _present(self) -> Trainer:
-        assert self.trainer is not None  # the first call comes with it
-        return self.trainer
-
-    @property
-    def environment_steps(self) -> int:
-        return self._present.environment_steps
-
-    @property
-    def episodes(self) -> int:
-        return self._present.episodes
-
-    @property
-    def updates(self) -> int:
-        return self._present.updates
-
-    @property
-    def progress(self) -> float:
-        return self._present.progress
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        return flattened({"curves": self.curves.smoothed(), "statistics": self._present.statistics()})
+        return flattened({"curves": self.curves.smoothed(), "statistics": self._trainer.statistics()})
 
     def _change(self, arguments: str) -> None:
         self._collector.change_arguments(arguments)
@@ -145,15 +124,15 @@ def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callb
     directory = None if folder is None else _directory(config, folder)
     with ExitStack() as held:
         if directory is not None:
-            directory.lock("train.lock")
-            held.callback(directory.unlock)
-            directory.adopt(config, spec.team)
+            _hold(directory, config, spec, held)
         held.enter_context(patient_with(without_timeout(config)))
         collector = held.enter_context(closing(Collector(config, WORKER, 0)))
-        progress, log = _InProcess(config, collector), held.enter_context(closing(MetricsLog(folder)))
+        log = held.enter_context(closing(MetricsLog(folder)))
+        progress: _InProcess | None = None
 
         def watch(trainer: Trainer, chunk: Chunk) -> bool:
-            progress.trainer = trainer
+            nonlocal progress
+            progress = progress or _InProcess(config, trainer, collector)
             counters = {"episodes": trainer.episodes, "environment_steps": trainer.environment_steps}
             if chunk.episodes:
                 means = progress.curves.add(chunk.episodes)
@@ -162,6 +141,7 @@ def train_here(config: RunConfig, folder: Path | None, callbacks: Sequence[Callb
             return progress.stopped
 
         trainer = train_with(collector, config, watch)
+        assert progress is not None  # a run has a chunk at least
         if failure := RunStorage(folder, config).write_policy(trainer):
             raise RunDirError(failure)
         state, reason = "draining" if progress.stopped else "finished", progress.reason
@@ -191,14 +171,15 @@ def train_elsewhere(
     plugins.check_callbacks(config.plugins)
     endpoint = Endpoint.parse(connect) if connect else free_endpoint()
     directory = _directory(config, folder)
-    directory.lock("train.lock")
-    directory.adopt(config, spec.team)
     plan = ProcessPlan(config, workers, directory, endpoint, run, router=connect is not None)
     processes, stop = TrainingProcesses(plan), StopSignal()
-    if threading.current_thread() is threading.main_thread():  # elsewhere Ctrl-C reaches the main thread alone
-        stop.install()
     progress: _Elsewhere | None = None
-    try:
+    with ExitStack() as held:
+        _hold(directory, config, spec, held)
+        held.callback(stop.uninstall)
+        held.callback(processes.stop)
+        if threading.current_thread() is threading.main_thread():  # elsewhere Ctrl-C reaches the main thread alone
+            stop.install()
         processes.start()
         bus = processes.connect(lambda: bool(stop))
         if bus is not None:
@@ -207,10 +188,6 @@ def train_elsewhere(
                 _watch(processes, progress, callbacks, stop)
                 if not processes.over and (stop or progress.stopped):
                     processes.drain(bus)
-    finally:
-        processes.stop()
-        stop.uninstall()
-        directory.unlock()
     processes.raise_failure()
     reason = "" if progress is None else progress.reason
     if progress is not None:
@@ -255,3 +232,10 @@ def _directory(config: RunConfig, folder: Path) -> RunDirectory:
     directory = RunDirectory(folder)
     directory.prepare(config, resume=False)
     return directory
+
+
+def _hold(directory: RunDirectory, config: RunConfig, spec: EnvironmentSpec, held: ExitStack) -> None:
+    """Lock a run directory until the stack is closed, and write down what the run is."""
+    directory.lock("train.lock")
+    held.callback(directory.unlock)
+    directory.adopt(config, spec.team)

@@ -134,7 +134,7 @@ def episode_summaries(records: Any) -> list[EpisodeSummary]:
 def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
     values = dict(record)
     metrics = {str(name): _number(value) for name, value in values["metrics"].items()}
-    infos = {str(name): _number(value) for name, value in values.get("infos", {}).items()}
+    infos = {str(name): _number(value) for name, value in values["infos"].items()}
     reward = tuple(_number(value) for value in values["reward"])
     episode = EpisodeSummary(**{**values, "reward": reward, "metrics": metrics, "infos": infos})
     if not reward or not all(type(number) is int for number in (episode.farm, episode.episode, episode.steps)):

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from eia_sec.common.callbacks import Callback, call
 from eia_sec.common.config import RunConfig
 from eia_sec.common.log import log
-from eia_sec.common.steered_progress import SteeredProgress
 from eia_sec.learner.process.command_server import CommandServer
 from eia_sec.learner.process.reporter import Reporter
+from eia_sec.learner.process.trainer_progress import TrainerProgress
 from eia_sec.learner.trainer import Trainer
 
 
-class PluginCallbacks(SteeredProgress):
+class PluginCallbacks(TrainerProgress):
     """The callbacks, and the run as they see it.
 
     Args:
@@ -30,28 +30,8 @@ class PluginCallbacks(SteeredProgress):
         reporter: Reporter,
         commands: CommandServer,
     ) -> None:
-        super().__init__(config)
-        self._callbacks, self._trainer, self._reporter, self._commands = callbacks, trainer, reporter, commands
-
-    @property
-    def environment_steps(self) -> int:
-        """See `TrainingProgress`."""
-        return self._trainer.environment_steps
-
-    @property
-    def episodes(self) -> int:
-        """See `TrainingProgress`."""
-        return self._trainer.episodes
-
-    @property
-    def updates(self) -> int:
-        """See `TrainingProgress`."""
-        return self._trainer.updates
-
-    @property
-    def progress(self) -> float:
-        """See `TrainingProgress`."""
-        return self._trainer.progress
+        super().__init__(config, trainer)
+        self._callbacks, self._reporter, self._commands = callbacks, reporter, commands
 
     @property
     def metrics(self) -> Mapping[str, float]:
