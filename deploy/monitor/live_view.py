@@ -45,7 +45,7 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
         _beside(learning, _flow(snapshot), (1, 1)),
         _beside(_ledger(snapshot.ledger), _imitation(snapshot.imitation), (3, 2)),
         *([_panel("imitation events", EventTable(events))] if events else []),
-        _panel(f"processes ({len(snapshot.processes)})", ProcessTable(snapshot, max(2, height - used - 3))),
+        _panel(", ".join(_processes(snapshot)), ProcessTable(snapshot, max(2, height - used - 3))),
     ]
     if alarms:
         parts.append(_alarms(snapshot.alarms, alarms))
@@ -64,8 +64,7 @@ def summary(snapshot: Snapshot) -> str:
         f"{number(snapshot.steps_rate)} steps/s",
         f"{number(snapshot.updates_rate)} updates/s",
         f"{duration(snapshot.left)} left" if snapshot.left is not None else "",
-        _count(snapshot.outages, "outage"),
-        _count(snapshot.step_timeouts, "step timeout"),
+        *_troubles(snapshot),
         _count(len(snapshot.alarms), "alarm"),
     ]
     return "; ".join(part for part in parts if part)
@@ -179,6 +178,16 @@ def _rate(value: float | None) -> str:
 
 def _percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.0%}"
+
+
+def _processes(snapshot: Snapshot) -> list[str]:
+    """Return how many processes there are, and what their environments did."""
+    return [f"processes ({len(snapshot.processes)})", *filter(None, _troubles(snapshot))]
+
+
+def _troubles(snapshot: Snapshot) -> tuple[str, str]:
+    """Return how often environments were away, and were ended because a call took too long; empty for never."""
+    return _count(snapshot.outages, "outage"), _count(snapshot.step_timeouts, "step timeout")
 
 
 def _count(number: int, what: str) -> str:

@@ -124,6 +124,14 @@ def test_imitation_events_say_who_was_the_elite_when_there_is_room():
     assert "From 33 lines" in (Path(__file__).resolve().parents[3] / "docs" / "reference" / "monitoring.md").read_text()
 
 
+def test_what_environments_did_is_counted_on_a_terminal_and_without_one():
+    """Outages and calls that took too long stand above the processes, and in the line of plain output."""
+    troubled = dataclasses.replace(SNAPSHOT, outages=2, step_timeouts=1)
+    assert "2 outages, 1 step timeout" in line_with("processes (", drawn(troubled, 80))
+    assert "2 outages; 1 step timeout" in summary(troubled)
+    assert not any("outage" in line for line in drawn(SNAPSHOT, 80))
+
+
 def test_empty_snapshot_says_what_is_not_known():
     """Before anything has happened the view shows dashes and says that no episode has ended."""
     lines = drawn(Snapshot("new"), 80)
