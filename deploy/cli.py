@@ -69,6 +69,9 @@ COMMANDS: Final = {
     "host": Command(
         "eia_sec.deploy.commands.fleet.host", "internal: up, down, status, logs and fleet call it on each host"
     ),
+    "trial": Command(
+        "eia_sec.deploy.commands.training.trial", "internal: train tries an environment from outside with it"
+    ),
     "alive": Command(
         "eia_sec.deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),

@@ -201,11 +201,20 @@ def trained(tmp_path: Path, name: str, *more: str, seconds: float = 200) -> subp
 def test_what_an_environment_does_wrong_is_said_before_anything_is_made(
     tmp_path: Path, name: str, sentence: str
 ) -> None:
-    """The trial in the first process finds it, and the user's own lines are shown."""
+    """The trial finds it, and the user's own lines are shown."""
     done = trained(tmp_path, name)
     assert done.returncode == 2
     assert sentence in done.stderr
     assert 'File "' in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("code", [0, 5])
+def test_a_library_that_ends_the_process_is_named_before_anything_is_made(tmp_path: Path, code: int) -> None:
+    """The C library's own exit raises nothing in Python; even its code 0 is no success."""
+    done = trained(tmp_path, "toy_faults:Exiting", "--env.arguments", f'{{"after": 2, "code": {code}}}')
+    assert done.returncode == 2
+    assert f"toy_faults:Exiting ended its process in a trial of a few steps, with exit code {code}" in done.stderr
     assert not (tmp_path / "run").exists()
 
 

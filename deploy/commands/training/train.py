@@ -5,7 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Event
 from typing import Annotated
 
 import tyro
@@ -23,6 +22,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options, plugin_options
+from eia_sec.deploy.local.environment_trial import tried
 from eia_sec.deploy.local.run_directory import RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -34,7 +34,6 @@ from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
 from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
-from eia_sec.rollout.worker.outages import Outages
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -226,7 +225,7 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
     """Return the run's environment after a trial; a run that resumes knows the team of one that others serve."""
     config = options.settings
     if not config.env.served:
-        return environment_spec(config, trial=True, patience=Outages(Event()))
+        return tried(config) if config.env.is_third_party else environment_spec(config)
     team = RunDirectory(options.run_dir).team() if options.resume and options.run_dir is not None else None
     if team is not None:
         return served_spec(config, team)

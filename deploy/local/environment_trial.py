@@ -1,0 +1,66 @@
+"""The trial of an environment from outside, in a process of its own: a library may end the one that it runs in."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from eia_sec.common.config import RunConfig
+from eia_sec.common.environment import EnvironmentSpec
+from eia_sec.common.errors import EnvironmentFaultError
+from eia_sec.deploy.local.code_options import code_options
+from eia_sec.deploy.local.run_directory import CONFIG, RunDirectory
+from eia_sec.rollout.envs.registry import served_spec
+
+REPORTED: Final = "reported"
+"""File that the trial leaves in the directory when it ends by itself, with a result or with a sentence."""
+
+END_SECONDS: Final = 5.0
+"""Time that an interrupted trial has to close the environment."""
+
+
+def tried(config: RunConfig) -> EnvironmentSpec:
+    """Return the description of a run's environment after a trial in another process.
+
+    What the trial finds wrong, it says itself, and this process ends with the trial's exit code.
+
+    Raises:
+        EnvironmentFaultError: the environment has ended the other process.
+        SystemExit: the trial has said what is wrong.
+    """
+    with TemporaryDirectory(prefix="eia-sec-trial-") as folder:
+        directory = RunDirectory(Path(folder))
+        directory.prepare(config, resume=False)
+        command = [sys.executable, "-m", "eia_sec.deploy.cli", "trial", "--run-dir", folder]
+        command += ["--config", str(directory.path / CONFIG), *code_options(config)]
+        code = _completed(command)
+        team = directory.team()
+        if code == 0 and team is not None:
+            return served_spec(config, team)
+        if (directory.path / REPORTED).exists():
+            sys.exit(code)
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    raise EnvironmentFaultError(
+        f"{config.env.name} ended its process in a trial of a few steps, with {how} and without an exception: code of "
+        "the environment or of a library that it uses."
+    )
+
+
+def _completed(command: list[str]) -> int:
+    """Run a command to its end and return its exit code; nothing that it has started is left."""
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    try:
+        return process.wait()
+    except BaseException:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(END_SECONDS)
+        raise
+    finally:
+        with suppress(ProcessLookupError, PermissionError):  # the latter where only zombies are left, on macOS
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
