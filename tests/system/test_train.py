@@ -17,6 +17,13 @@ OFTEN, RARE = "checkpoint_seconds = 0.5", "checkpoint_seconds = 3600.0"
 WAITING = 40
 """More episodes than a learner's queue of 16 chunks and its slack of 400 steps can hold."""
 
+LIFECYCLE = {
+    "learner": ("is begun", "rollout 0 joined", "first update", "checkpoint-", "drain", "resumed"),
+    "elite": ("leads", "ends"),
+    "rollout-0": ("collects for run", "ends after"),
+}
+"""What each log of an interrupted and resumed run tells of."""
+
 
 def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
     """Ctrl-C ends everybody with a checkpoint and code 0; the run goes on from there and does not count from zero."""
@@ -37,6 +44,10 @@ def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
     assert counts == sorted(counts)
     training.process.send_signal(signal.SIGTERM)
     assert training.wait(30.0) == 0
+    logs = {name: (training.run_dir / "logs" / f"{name}.log").read_text() for name in LIFECYCLE}
+    assert {name: [words for words in LIFECYCLE[name] if words not in log] for name, log in logs.items()} == {
+        name: [] for name in LIFECYCLE
+    }, logs
 
 
 def test_what_a_killed_learner_reported_is_reported_once(training: Training) -> None:

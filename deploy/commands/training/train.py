@@ -121,20 +121,20 @@ def command(arguments: Sequence[str]) -> int:
     )
     training = _Training(plan, console)
     training.run()
-    finished = directory.finished()
-    if finished and options.settings.env.served:
-        # A robot moves only as long as it was asked to.
-        again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
-        own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
-        console.print(f"finished; evaluate with: {again} --endpoint {endpoint}{own}", highlight=False, soft_wrap=True)
-    elif finished and options.report:
-        from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
-
-        write_report(directory, options.settings, command_line(arguments, options, workers), console)
-    elif not finished:
+    served = options.settings.env.served
+    if not directory.finished():
         if training.stopped:
             console.print(f"a callback stopped the run: {training.stopped}", highlight=False, markup=False)
         console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
+    elif options.report and not served:  # a robot moves only as long as it was asked to
+        from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
+
+        write_report(directory, options.settings, command_line(arguments, options, workers), console)
+    else:
+        again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
+        own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
+        where = f" --endpoint {endpoint}{own}" if served else ""
+        console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
     return 0
 
 
