@@ -1,4 +1,4 @@
-"""`eia-sec fleet render`: the files that start a fleet with systemd, Compose or Kubernetes."""
+"""`eia-sec fleet render`: the files that start a fleet with systemd, Compose or Kubernetes, or watch it."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -10,16 +10,17 @@ from eia_sec.deploy.hosts.compose import compose
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
 from eia_sec.deploy.hosts.kubernetes import kubernetes
 from eia_sec.deploy.hosts.plan import ORDER
+from eia_sec.deploy.hosts.prometheus import command, prometheus
 from eia_sec.deploy.hosts.systemd import learner_units, units
 from eia_sec.deploy.local import contained_files
 from eia_sec.deploy.local.run_directory import HISTORY
 
-_OPEN: Final = (".service", ".target")
-"""Suffixes of files that everybody may read, as systemd requires."""
+_OPEN: Final = (".service", ".target", "prometheus.yml", "alerts.yml", "dashboard.json")
+"""Ends of names of files that everybody may read, as systemd requires and Prometheus, a user of its own, needs."""
 
 
 def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
-    """Write the files of one form, systemd, compose or kubernetes; return their paths.
+    """Write the files of one form, see FORMS; return their paths.
 
     Raises:
         ConfigError: the form cannot express the fleet, or the folder cannot be written.
@@ -51,7 +52,12 @@ def left_over(fleet: FleetSpec, form: str, folder: Path, written: Sequence[Path]
 
 
 def keeping(fleet: FleetSpec, form: str, folder: Path) -> str:
-    """Return what must be done so that a run goes on elsewhere, and does not begin anew; call this before `render`."""
+    """Return what must be done so that a run goes on elsewhere, and does not begin anew; call this before `render`.
+
+    Files for Prometheus start nothing; of them it says where the figures come from.
+    """
+    if form == "prometheus":
+        return f"the figures are those of: {command(fleet)}"
     if form != "systemd":
         where = "its volume claim" if form == "kubernetes" else str(folder / "run")
         return f"the learner keeps run {fleet.run} in {where}; elsewhere it begins anew, unless you copy that."
@@ -83,8 +89,13 @@ def _kubernetes(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:
     return {name: text.encode() for name, text in kubernetes(fleet).items()}
 
 
+def _prometheus(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:
+    return {name: text.encode() for name, text in prometheus(fleet).items()}
+
+
 FORMS: Final[dict[str, Callable[[FleetSpec, Path], dict[str, bytes]]]] = {
     "systemd": _systemd,
     "compose": _compose,
     "kubernetes": _kubernetes,
+    "prometheus": _prometheus,
 }

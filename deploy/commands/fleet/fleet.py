@@ -62,10 +62,12 @@ class MoveLearnerArguments:
 
 @dataclass(frozen=True)
 class RenderArguments:
-    """Write the files that start the same fleet with systemd, Compose or Kubernetes; existing files are replaced."""
+    """Write files that start the same fleet with systemd, Compose or Kubernetes, or watch it with Prometheus."""
 
-    form: Annotated[tyro.conf.Positional[Literal["systemd", "compose", "kubernetes"]], tyro.conf.arg(metavar="FORM")]
-    """systemd, compose or kubernetes."""
+    form: Annotated[
+        tyro.conf.Positional[Literal["systemd", "compose", "kubernetes", "prometheus"]], tyro.conf.arg(metavar="FORM")
+    ]
+    """systemd, compose, kubernetes or prometheus."""
     file: File = Path("fleet.toml")
     """The fleet file."""
     out: Path = Path("rendered")

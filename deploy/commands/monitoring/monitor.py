@@ -3,7 +3,8 @@
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rich.console import Console
 from rich.live import Live
 
 from eia_sec.common.config.checks import within
+from eia_sec.common.errors import UsageError
 from eia_sec.common.names import check_name
 from eia_sec.common.process import StopSignal, denial
 from eia_sec.common.protocol import keys
@@ -19,7 +21,8 @@ from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.monitor.live_view import render, summary
 from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
-from eia_sec.deploy.monitor.snapshot import record
+from eia_sec.deploy.monitor.snapshot import Snapshot, record
+from eia_sec.deploy.monitor.web.address import bracketed, require_own_address
 from eia_sec.deploy.options import parse
 
 
@@ -41,6 +44,12 @@ class MonitorArguments:
     """Seconds between two refreshes."""
     seconds: float | None = None
     """Seconds until it stops. Default: run until interrupted."""
+    openmetrics: int | None = None
+    """Port on which the figures are also served as OpenMetrics, for Prometheus; 0 for any free one."""
+    host: str = "127.0.0.1"
+    """Address to serve them on."""
+    insecure: bool = False
+    """Serve them on an address that other machines reach; anybody there can read them."""
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -48,16 +57,44 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(MonitorArguments, arguments, "monitor")
     check_name(options.run, "run")
     within(0.05, 3600.0, refresh=options.refresh)
+    within(0, 65_535, openmetrics=options.openmetrics or 0)
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     stop = StopSignal()
     stop.install()
     endpoint = Endpoint.parse(options.connect, options.tls)
-    with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
-        _show(options, RunMonitor(bus, options.run), stop, bus)
+    with (
+        Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus,
+        _served(options) as served,
+    ):
+        _show(options, RunMonitor(bus, options.run), stop, bus, served)
     return 0
 
 
-def _show(options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus: Bus) -> None:
+@contextmanager
+def _served(options: MonitorArguments) -> Iterator[Callable[[Snapshot], None]]:
+    """Yield what takes each snapshot for OpenMetrics; nothing is served where the option is not given.
+
+    Raises:
+        EndpointError: other machines reach the address, or it cannot be used.
+        UsageError: the package that serves it is not installed.
+    """
+    if options.openmetrics is None:
+        yield lambda snapshot: None
+        return
+    require_own_address(options.host, insecure=options.insecure, what="read the figures")
+    try:
+        from eia_sec.deploy.monitor.openmetrics import OpenMetricsServer, RunCollector  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise UsageError("--openmetrics needs prometheus-client: pip install 'eia-sec[openmetrics]'.") from None
+    collector = RunCollector(options.run)
+    with OpenMetricsServer(collector, options.host, options.openmetrics) as server:
+        sys.stderr.write(f"OpenMetrics at http://{bracketed(options.host)}:{server.port}/metrics\n")
+        yield collector.show
+
+
+def _show(
+    options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus: Bus, served: Callable[[Snapshot], None]
+) -> None:
     console, alarms = Console(), NewAlarms()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal
@@ -71,6 +108,7 @@ def _show(options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus:
             silent = bus.credentials is not None and not monitor.learner_values()
             denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
             snapshot = monitor.snapshot((denied,) if denied else ())
+            served(snapshot)
             if live is not None:
                 live.update(render(snapshot, console.height), refresh=True)
             elif options.json:

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Final
 
 from eia_sec.common.config.checks import within
-from eia_sec.common.errors import EiaSecError, EndpointError
+from eia_sec.common.errors import EiaSecError
 from eia_sec.common.names import check_name
 from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.monitor.web.address import bracketed, require_own_address
 from eia_sec.deploy.monitor.web.hub import Hub
-from eia_sec.deploy.monitor.web.server import WebServer, bracketed
+from eia_sec.deploy.monitor.web.server import WebServer
 from eia_sec.deploy.monitor.web.source import Source
 from eia_sec.deploy.options import parse
 
@@ -55,10 +56,7 @@ def command(arguments: Sequence[str]) -> int:
         check_name(options.worker, "worker")
     within(0, 65_535, port=options.port)
     within(0.0, 1e9, patience=options.patience)
-    if not (options.insecure or Endpoint("tcp", options.host, 1).is_loopback):
-        raise EndpointError(
-            f"anybody who reaches {options.host} could watch the page; add --insecure if that is intended."
-        )
+    require_own_address(options.host, insecure=options.insecure, what="watch the page")
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # browsers that disconnect are not worth a log line
     stop = StopSignal()
     stop.install()

@@ -17,6 +17,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from eia_sec.common.errors import EndpointError
+from eia_sec.deploy.monitor.web.address import bracketed
 from eia_sec.deploy.monitor.web.hub import Hub
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -163,11 +164,6 @@ class WebServer:
             return
         finally:
             self._hub.leave(seat)
-
-
-def bracketed(host: str) -> str:
-    """Return a host as it stands in a URL."""
-    return f"[{host}]" if ":" in host and not host.startswith("[") else host
 
 
 def _response(status: http.HTTPStatus, kind: str, body: bytes) -> Response:

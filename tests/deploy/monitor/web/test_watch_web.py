@@ -21,6 +21,7 @@ from eia_sec.common.protocol.messages import Envelope
 from eia_sec.common.transport.bus import Bus
 from eia_sec.deploy.monitor.web import hub as hubs
 from eia_sec.deploy.monitor.web import server
+from eia_sec.deploy.monitor.web.address import bracketed
 from eia_sec.deploy.monitor.web.hub import Hub
 from eia_sec.deploy.monitor.web.packets import Packet, pack
 from eia_sec.deploy.monitor.web.server import FILES, MAX_BROWSERS, WebServer
@@ -310,7 +311,7 @@ def test_the_page_is_served_over_ipv6():
         link.request("GET", "/", headers={"Host": f"[::1]:{web.port}"})
         assert link.getresponse().status == 200
         link.close()
-    assert [server.bracketed(host) for host in ("::1", "[::1]", "127.0.0.1")] == ["[::1]", "[::1]", "127.0.0.1"]
+    assert [bracketed(host) for host in ("::1", "[::1]", "127.0.0.1")] == ["[::1]", "[::1]", "127.0.0.1"]
 
 
 @pytest.mark.parametrize(("port", "answered"), [(80, True), (8080, False)])

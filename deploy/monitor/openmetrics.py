@@ -1,0 +1,177 @@
+"""A run's figures as OpenMetrics, for Prometheus and everything that reads its format.
+
+All counts are gauges: a learner that resumes goes back to those of its checkpoint, and a counter that falls would be
+read as one that began again at 0.
+"""
+
+import threading
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+from typing import Final, Self
+
+from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client.core import GaugeMetricFamily, Metric, StateSetMetricFamily
+from prometheus_client.registry import Collector
+
+from eia_sec.common.errors import EndpointError
+from eia_sec.deploy.monitor.snapshot import ProcessRow, Snapshot
+
+STATES: Final = ("starting", "training", "draining", "finished", "without learner")
+"""States of a run that a scrape distinguishes; any other is "starting"."""
+PREFIX: Final = "eia_sec_"
+
+
+class RunCollector(Collector):
+    """Turns the newest snapshot into metric families at each scrape."""
+
+    def __init__(self, run: str) -> None:
+        self._newest = Snapshot(run)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Take the snapshot that scrapes return from now on."""
+        self._newest = snapshot
+
+    def collect(self) -> Iterable[Metric]:
+        """Return all families; what is not known yet has no sample."""
+        snapshot = self._newest
+        yield from _of_run(snapshot)
+        yield from _of_ledger(snapshot)
+        yield from _of_learning(snapshot)
+        yield from _of_processes(snapshot)
+
+
+class OpenMetricsServer:
+    """Serves a collector's figures over HTTP, as long as the block lasts.
+
+    Args:
+        collector: what is served.
+        host: address to serve on.
+        port: port to serve on; 0 for any free one.
+
+    Attributes:
+        port: the port.
+
+    Raises:
+        EndpointError: the address cannot be used.
+    """
+
+    def __init__(self, collector: RunCollector, host: str, port: int) -> None:
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(collector)
+        try:
+            self._server, self._thread = start_http_server(port, host, registry)
+        except OSError as error:
+            raise EndpointError(f"cannot serve on {host}, port {port}: {error.strerror}.") from None
+        self.port = int(self._server.server_port)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+
+
+def _gauge(name: str, meaning: str, unit: str, labels: tuple[str, ...]) -> GaugeMetricFamily:
+    return GaugeMetricFamily(PREFIX + name, meaning, labels=labels, unit=unit)
+
+
+def _single(snapshot: Snapshot, name: str, unit: str, meaning: str, value: float | None) -> Metric:
+    """Return a family of one sample, labelled by the run; of none where the value is not known."""
+    family = _gauge(name, meaning, unit, ("run",))
+    if value is not None:
+        family.add_metric([snapshot.run], value)
+    return family
+
+
+def _of_run(snapshot: Snapshot) -> Iterator[Metric]:
+    states = StateSetMetricFamily(PREFIX + "run_state", "What the run does.", labels=["run"])
+    state = snapshot.state if snapshot.state in STATES else STATES[0]
+    states.add_metric([snapshot.run], {name: name == state for name in STATES})
+    yield states
+    for name, unit, meaning, value in (
+        ("run_elapsed_seconds", "seconds", "Time since the run's start.", snapshot.elapsed),
+        ("run_remaining_seconds", "seconds", "Estimated time to the run's end.", snapshot.left),
+        ("run_progress_ratio", "ratio", "Finished share of the run.", snapshot.progress),
+        ("episodes", "", "Training episodes finished.", snapshot.episodes),
+        ("updates", "", "Updates of the networks.", snapshot.updates),
+        ("environment_outages", "", "Times that environments went away.", snapshot.outages),
+        ("step_timeouts", "", "Workers ended for env.step_timeout.", snapshot.step_timeouts),
+        ("alarms", "", "Alarms that a monitor shows now.", len(snapshot.alarms)),
+    ):
+        yield _single(snapshot, name, unit, meaning, value)
+
+
+def _of_ledger(snapshot: Snapshot) -> Iterator[Metric]:
+    ledger = snapshot.ledger
+    for name, meaning, value in (
+        ("produced_steps", "Environment steps that workers simulated.", ledger.produced),
+        ("accepted_steps", "Environment steps that the learner accepted.", ledger.accepted),
+        ("rejected_steps", "Environment steps in chunks that it refused.", ledger.rejected),
+        ("lost_steps", "Environment steps declared lost.", ledger.lost),
+        ("in_flight_steps", "Environment steps neither arrived nor given up.", ledger.in_flight),
+        ("unexplained_steps", "Environment steps that no count explains; 0 but for a defect.", ledger.unexplained),
+    ):
+        yield _single(snapshot, name, "steps", meaning, value)
+    yield _single(snapshot, "duplicate_chunks", "chunks", "Chunks that arrived again, taken once.", ledger.duplicates)
+
+
+def _of_learning(snapshot: Snapshot) -> Iterator[Metric]:
+    for name, meaning, label, series in (
+        ("reward", "Mean reward per agent in the newest training episodes.", "type", snapshot.reward),
+        ("episode_metric", "The environment's own metrics in the newest episodes.", "metric", snapshot.freshness),
+    ):
+        family = _gauge(name, meaning, "", ("run", label))
+        for one in series:
+            if one.latest is not None:
+                family.add_metric([snapshot.run, one.name], one.latest)
+        yield family
+    scores = _gauge("elite_score", "Score omega of each type's elite.", "", ("run", "type", "agent"))
+    for name, agent, score in snapshot.imitation.elites:
+        if score is not None:
+            scores.add_metric([snapshot.run, name, str(agent)], score)
+    yield scores
+    for name, unit, meaning, value in (
+        ("imitation_events", "", "Imitation events applied.", snapshot.imitation.events),
+        ("imitation_rate_ratio", "ratio", "Rate vartheta of the next event.", snapshot.imitation.rate),
+        ("lag_versions", "versions", "Age of the newest chunks' policies.", snapshot.staleness),
+        ("learner_wait_ratio", "ratio", "Share of its time that the learner waits.", snapshot.learner_wait),
+        ("worker_wait_ratio", "ratio", "Mean share that workers wait.", snapshot.worker_wait),
+    ):
+        yield _single(snapshot, name, unit, meaning, value)
+
+
+def _of_processes(snapshot: Snapshot) -> Iterator[Metric]:
+    labels = ("run", "role", "name", "host")
+    for name, unit, meaning in (
+        ("process_up", "", "Whether the process has a liveliness token."),
+        ("process_trouble", "", "Whether it is gone, silent, far behind or slow."),
+        ("process_uptime_seconds", "seconds", "Time since its start."),
+        ("process_silence_seconds", "seconds", "Time since its last message."),
+        ("process_rate", "", "Steps (rollout), updates (learner) or decisions (flight) a second."),
+        ("process_queue_chunks", "chunks", "Chunks that wait in its queue."),
+        ("process_behind_versions", "versions", "Parameter versions that it lags behind the learner."),
+    ):
+        family = _gauge(name, meaning, unit, labels)
+        for row in snapshot.processes:
+            value = _value(row, name)
+            if value is not None and not row.left:
+                family.add_metric([snapshot.run, row.role, row.name, row.host], value)
+        yield family
+
+
+def _value(row: ProcessRow, name: str) -> float | None:
+    """Return one figure of a process; a process without a number has sent no message yet."""
+    return {
+        "process_up": float(row.alive),
+        "process_trouble": float(row.trouble),
+        "process_uptime_seconds": row.uptime if row.pid else None,
+        "process_silence_seconds": row.age if row.pid else None,
+        "process_rate": row.rate,
+        "process_queue_chunks": row.queue,
+        "process_behind_versions": row.behind,
+    }[name]

@@ -1,0 +1,24 @@
+"""Addresses on which a page or figures are served over HTTP."""
+
+from eia_sec.common.errors import EndpointError
+from eia_sec.common.transport.endpoint import Endpoint
+
+
+def bracketed(host: str) -> str:
+    """Return a host as it stands in a URL."""
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host
+
+
+def require_own_address(host: str, *, insecure: bool, what: str) -> None:
+    """Refuse an address that other machines reach.
+
+    Args:
+        host: the address.
+        insecure: whether that is intended.
+        what: what anybody there could do, for the message.
+
+    Raises:
+        EndpointError: it is such an address, and not intended.
+    """
+    if not (insecure or Endpoint("tcp", host, 1).is_loopback):
+        raise EndpointError(f"anybody who reaches {host} could {what}; add --insecure if that is intended.")
