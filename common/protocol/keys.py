@@ -13,7 +13,7 @@ This table repeats the declarations below; a test compares the two. ROOT and the
     view/{worker}                 lossy    worker -> watchers       ViewMessage
     metric/{role}/{name}          lossy    everyone -> everybody    MetricMessage
     live/{role}/{name}            token    everyone -> everybody
-    flight/{vehicle}/observation  lossy    vehicle -> flight node   ObservationMessage
+    flight/{vehicle}/pose         lossy    vehicle -> flight nodes  PoseMessage
     flight/{vehicle}/setpoint     lossy    flight node -> vehicle   SetpointMessage
     request/{environment}/{verb}  request  worker -> environment    ClaimRequest, StepRequest, LeaseRequest,
                                                                     ClaimAnswer, StepAnswer, LeaseAnswer
@@ -182,13 +182,13 @@ LIVE: Final = KeyFamily(
     messages=(),
     pace="while it lives",
 )
-OBSERVATION: Final = KeyFamily(
-    template="flight/{vehicle}/observation",
+POSE: Final = KeyFamily(
+    template="flight/{vehicle}/pose",
     delivery="lossy",
     sender="vehicle",
-    receiver="flight node",
-    messages=("ObservationMessage",),
-    pace="as the vehicle chooses; only the newest in each period is used",
+    receiver="flight nodes",
+    messages=("PoseMessage",),
+    pace="as the vehicle chooses, 5 to 20 per second; each tells again what was served in the last 5 s",
 )
 SETPOINT: Final = KeyFamily(
     template="flight/{vehicle}/setpoint",
@@ -230,7 +230,7 @@ FAMILIES: Final = (
     VIEW,
     METRIC,
     LIVE,
-    OBSERVATION,
+    POSE,
     SETPOINT,
     ENVIRONMENT,
     ENVIRONMENT_LIVE,

@@ -290,44 +290,83 @@ class MetricMessage(Message):
 
 
 @dataclass(frozen=True)
-class ObservationMessage(Message):
-    """One vehicle's observation; its envelope has the role `vehicle` and a growing sequence number.
+class PoseMessage(Message):
+    """Where one vehicle is and what it has served; its envelope has the role `vehicle` and a growing sequence number.
 
     Attributes:
-        agent: the agent whose actor decides, for instance communication_0.
-        stamp: time of the observation, microseconds since 1970 by the vehicle's clock.
-        values: [o] float32, the agent's observation in the scale of its training.
+        agent: the agent that it flies as, for instance communication_0.
+        stamp: time of the pose, microseconds since 1970 by the vehicle's clock.
+        place: x and y in the field, m; or latitude and longitude, degrees.
+        geodetic: whether `place` is in degrees.
+        height: above the field, m.
+        velocity: over ground along x and y of the field, m/s.
+        acceleration: likewise, m/s^2; empty if the vehicle does not know it.
+        commanded: velocity along x and y that it is flown to now, m/s; empty if it does not know it.
+        charge: of its battery, J; None if it does not know it.
+        wind: along x and y, m/s; empty if it does not know it.
+        lost: whether it is out of service for good.
+        decision: number of the decision that it flies or has flown; 0 before the first.
+        node, node_start: name and incarnation of the flight node that it obeys; empty and 0 for none.
+        rival: another flight node, whose set-points it has refused of late; or empty.
+        served: [k] int32 what it served in the last seconds: a monitoring UAV the plots that it photographed, numbered
+            column by column from the field's corner; a data collection UAV the sensors whose packets it acknowledged.
+        served_stamp: [k] int64 when, microseconds since 1970 by its clock.
     """
 
     KIND = 13
     agent: str
     stamp: int
-    values: Float32
+    place: tuple[float, ...]
+    geodetic: bool
+    height: float
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    commanded: tuple[float, ...]
+    charge: float | None
+    wind: tuple[float, ...]
+    lost: bool
+    decision: int
+    node: str
+    node_start: int
+    rival: str
+    served: NDArray[np.int32]
+    served_stamp: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class SetpointMessage(Message):
-    """A velocity command for one vehicle, valid until the next one.
+    """A command for one vehicle.
 
     Attributes:
         agent: the agent that decided.
-        velocity: along x and y of the field, m/s; zeros command hover.
-        hover: whether the watchdog commands hover; the velocity is then zero.
-        reason: why the watchdog commands hover, or empty.
-        answers: sequence number of the observation behind the decision; 0 with hover.
-        stamp: that observation's stamp; 0 with hover.
+        velocity: to fly along x and y of the field, m/s; zeros with hover.
+        target: x and y that it leads to in a step of the farm, inside the field, m; with hover where the vehicle was,
+            or empty if nobody knows.
+        height: to fly at, m.
+        yaw: of the vehicle's nose, counter-clockwise from the field's x axis, radians.
+        action: the decision itself as shares of top speed; the field's border may limit `velocity` to less.
+        hover: whether the watchdog commands hover.
+        reason: why it does, or empty.
+        decision: number of the decision, one more in each step of the farm, from 1; 0 with hover.
         period: number of the flight node's period, counted from 1.
-        latency: seconds from receiving the observation to sending this message; 0 with hover.
+        validity: seconds for which the vehicle may follow it; then it hovers by itself.
+        stamp: stamp of the vehicle's newest pose; 0 if there is none.
+        latency: seconds from receiving that pose to sending this message; 0 if there is none.
     """
 
     KIND = 14
     agent: str
     velocity: tuple[float, ...]
+    target: tuple[float, ...]
+    height: float
+    yaw: float
+    action: tuple[float, ...]
     hover: bool
     reason: str
-    answers: int
-    stamp: int
+    decision: int
     period: int
+    validity: float
+    stamp: int
     latency: float
 
 

@@ -1,11 +1,12 @@
 """The flight node: a pilot on the bus, at a fixed rate."""
 
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from eia_sec.common.incarnation import new_incarnation
+from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
@@ -14,8 +15,8 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.flight.pilot import Pilot
 
-WAITING: Final = 4
-"""Observations of one vehicle that wait for the next period; the oldest are dropped."""
+WAITING: Final = 16
+"""Poses of one vehicle that wait for the next period; the oldest are dropped."""
 REPORT_SECONDS: Final = 1.0
 LAST_HOVERS: Final = 3
 """Hover set-points at the end; several, because set-points may be lost."""
@@ -30,48 +31,50 @@ class NodeOptions:
     Attributes:
         run: the run's name.
         name: the node's name.
+        start: its incarnation.
         rate: periods per second.
         seconds: time until it stops, or None.
         listens: where vehicles connect to it, or None when it is connected to a router or a learner itself.
     """
 
     run: str
-    name: str = "main"
+    name: str
+    start: int
     rate: float = 10.0
     seconds: float | None = None
     listens: Endpoint | None = None
 
 
 class FlightNode:
-    """Reads observations, decides and sends set-points, once per period.
+    """Reads poses, decides and sends set-points, once per period.
 
     Args:
         options: run, name and rate.
         pilot: decides.
-        vehicles: names of the vehicles.
         bus: the control lane.
 
     Attributes:
         overruns: periods that were skipped because the previous one took too long.
     """
 
-    def __init__(self, options: NodeOptions, pilot: Pilot, vehicles: tuple[str, ...], bus: Bus) -> None:
+    def __init__(self, options: NodeOptions, pilot: Pilot, bus: Bus) -> None:
         self._options, self._pilot = options, pilot
-        run = options.run
-        self._incoming = {v: bus.subscribe(keys.OBSERVATION.key(run, vehicle=v), WAITING) for v in vehicles}
-        self._outgoing = {v: bus.publish(keys.SETPOINT.key(run, vehicle=v)) for v in vehicles}
-        self._start = new_incarnation()
-        self._presence = Presence(bus, run, "flight", options.name, self._start)
+        run, vehicles = options.run, pilot.vehicles
+        self._incoming = {name: bus.subscribe(keys.POSE.key(run, vehicle=name), WAITING) for name in vehicles}
+        flown = [name for name, vehicle in vehicles.items() if vehicle.flown]
+        self._outgoing = {name: bus.publish(keys.SETPOINT.key(run, vehicle=name)) for name in flown}
+        self._presence = Presence(bus, run, "flight", options.name, options.start)
         self._reported = 0.0
+        self._said: list[str] = []
         self.overruns = 0
 
     def run(self, stop: StopSignal) -> None:
-        """Work until stopped; at the end every vehicle gets hover set-points."""
+        """Work until stopped or the farm's episode is over; at the end every vehicle gets hover set-points."""
         period = 1.0 / self._options.rate
         begun = due = time.monotonic()
         seconds = self._options.seconds if self._options.seconds is not None else float("inf")
         try:
-            while not stop and time.monotonic() - begun < seconds:
+            while not stop and not self._pilot.over and time.monotonic() - begun < seconds:
                 self.turn()
                 due += period
                 behind = time.monotonic() - due
@@ -81,8 +84,10 @@ class FlightNode:
                     due += skipped * period
                 stop.event.wait(max(0.0, due - time.monotonic()))
         finally:
+            steps = self._pilot.map.steps
+            why = f"the flight's {steps} steps are over" if self._pilot.over else "the flight node is stopping"
             for _ in range(LAST_HOVERS):
-                self._send(self._pilot.hover("the flight node is stopping"))
+                self._send(self._pilot.hover(why))
                 time.sleep(min(period, LAST_PAUSE))  # a message right before the session closes may be lost
             self._report()
 
@@ -97,7 +102,7 @@ class FlightNode:
 
     def _send(self, setpoints: Mapping[str, SetpointMessage]) -> None:
         for vehicle, message in setpoints.items():
-            envelope = Envelope("flight", self._options.name, self._start, message.period)
+            envelope = Envelope("flight", self._options.name, self._options.start, message.period)
             self._outgoing[vehicle].put(message.encode(), envelope.encode())
 
     def _report(self) -> None:
@@ -107,3 +112,12 @@ class FlightNode:
             crowd = admission(self._options.listens)
             values |= {**crowd.metrics(), "alarms": [*values["alarms"], *crowd.alarms()]}
         self._presence.report(values)
+        self._say(values["alarms"])
+
+    def _say(self, alarms: list[str]) -> None:
+        """Log alarms that are new but for their numbers, because a flight may have no monitor."""
+        plain = [re.sub(r"\d[\d.,]*", "#", alarm) for alarm in alarms]
+        for text, alarm in zip(plain, alarms, strict=True):
+            if text not in self._said:
+                log(alarm)
+        self._said = plain

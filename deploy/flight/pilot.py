@@ -1,10 +1,11 @@
-"""From vehicles' observations to set-points, with a watchdog; independent of network and clock.
+"""From vehicles' poses to set-points, with a watchdog; independent of the network.
 
     pilot.offer(vehicle, payload, attachment, now)      # everything that has arrived since the last period
     for vehicle, message in pilot.decide(now).items():  # once per period
         ...                                             # send it
 
-The watchdog counts periods: a vehicle without a usable observation in the last `hold` periods gets a hover set-point.
+The policy decides once in each step of the farm, as in training. In the periods between, the decision is sent again,
+and the watchdog looks at every vehicle's newest pose.
 """
 
 import time
@@ -14,16 +15,17 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from eia_sec.common.actors import TeamActors, noise_free_actions
-from eia_sec.common.errors import ConfigError, ProtocolError, SchemaError
-from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
+from eia_sec.common.config import FarmConfig
+from eia_sec.common.errors import ConfigError
+from eia_sec.common.protocol.messages import SetpointMessage
 from eia_sec.common.team import Float32
-from eia_sec.deploy.flight.states import AgentStates
+from eia_sec.deploy.flight.border import inside_border
+from eia_sec.deploy.flight.deciders import Decider
+from eia_sec.deploy.flight.farm_map import FarmMap
+from eia_sec.deploy.flight.poses import Field, Vehicle
 
-LARGEST: Final = 4.0
-"""Largest absolute value in an observation. Scaled values lie within about [-1, 1]; far larger ones are in other
-units."""
 KEPT: Final = 1000
 """Newest decisions that the reported latency covers."""
 ROWS: Final = 16
@@ -32,230 +34,257 @@ REASONS: Final = 4
 """Most reasons to hover that alarms list one by one."""
 REASON: Final = 160
 """Most characters of a reason."""
+YAW: Final = 0.0
+"""A vehicle's nose points along the field's x axis, so that its images' sides are along the plots'."""
+CAUSES: Final = ("missing", "late", "field", "jump", "sensors", "lost", "policy", "end")
+"""Why vehicles hover."""
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Limits of the watchdog.
+class PilotOptions:
+    """How a pilot flies.
 
     Attributes:
-        hold: periods for which an observation stays valid, including the one of its arrival.
-        age: largest difference between an observation's time stamp and this machine's clock, s.
+        name: the flight node's name, which vehicles that obey it repeat.
+        start: its incarnation.
+        validity: seconds for which a vehicle may follow a set-point.
+        lockstep: begin a step when every vehicle has flown the one before instead of by the clock; for simulators.
     """
 
-    hold: int = 1
-    age: float = 1.0
-
-
-@dataclass
-class _Vehicle:
-    agent: int
-    place: slice
-    mark: tuple[int, int] = (0, 0)
-    taken: int = 0
-    stamp: int = 0
-    began: float = 0.0
-    reason: str = "no observation has come yet"
-    complaint: str = ""
-    hovers: int = 0
-    refused: int = 0
-    missed: int = 0
+    name: str = "main"
+    start: int = 0
+    validity: float = 0.5
+    lockstep: bool = False
 
 
 class Pilot:
-    """Decides for the vehicles of one team.
+    """Flies the vehicles of one team.
 
     Args:
-        actors: the actors.
-        agents: for each vehicle, the agent that flies it.
-        speed: speed along x and y that an environment's action of 1 commands, m/s.
-        limits: limits of the watchdog.
-        clock: a monotonic clock for latencies, s.
+        decider: decides in each step.
+        farm_map: the farm.
+        vehicles: the team, in the order of its agents.
+        field: what poses are compared with.
+        options: see there.
+        clock: a monotonic clock, s.
 
     Attributes:
         period: periods begun.
-        decisions: set-points that actors decided.
+        decisions: set-points of the policy.
+        limited: those of them that the field's border limits.
         hovers: set-points that command hover.
-
-    Raises:
-        ConfigError: an agent does not exist, or flies two vehicles.
     """
 
     def __init__(
         self,
-        actors: TeamActors,
-        agents: Mapping[str, str],
-        speed: tuple[float, float],
-        limits: Limits,
+        decider: Decider,
+        farm_map: FarmMap,
+        vehicles: Sequence[Vehicle],
+        field: Field,
+        options: PilotOptions,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._actors, self._speed, self._limits, self._clock = actors.noise_free(), speed, limits, clock
-        self._names = actors.team.agent_names
-        self._adapters = [group.adapters for group in actors.team.groups for _ in range(group.count)]
-        places = _places(actors)
-        require_agents(agents, self._names, "the policy's")
-        numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
-        self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
-        self._row = np.zeros((1, actors.team.observation_size), np.float32)
-        self._states = AgentStates(actors)
+        self._decider, self.map, self._field, self._options, self._clock = decider, farm_map, field, options, clock
+        self.vehicles = {vehicle.name: vehicle for vehicle in vehicles}
+        self._team = list(vehicles)
+        world = field.config.world
+        self._speed = np.array([world.speed_x_max, world.speed_y_max])
+        self._shares: Float32 = np.full((len(vehicles), 2), np.nan, np.float32)
+        self._decision, self._begun, self._listening = 0, 0.0, 0.0
         self._latency: deque[float] = deque(maxlen=KEPT)
         self._age: deque[float] = deque(maxlen=KEPT)
-        self.period = self.decisions = self.hovers = 0
+        self.period = self.decisions = self.limited = self.hovers = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether the farm's episode is over."""
+        return self.map.over
 
     def offer(self, vehicle: str, payload: bytes, attachment: bytes, now: float) -> bool:
-        """Take an observation for the coming period; return whether it is usable.
+        """Take a pose; return whether it is used.
 
         Args:
             vehicle: the vehicle's name, from the message's key.
-            payload: the observation's frame.
+            payload: the pose's frame.
             attachment: the envelope's frame.
             now: seconds since 1970.
         """
-        held = self._vehicles[vehicle]
-        began = self._clock()
-        try:
-            sender, message = self._checked(vehicle, held, payload, attachment, now)
-        except ProtocolError as error:
-            held.refused += 1
-            held.complaint = str(error)
-            return False
-        start, before = held.mark
-        held.missed += max(0, sender.sequence - before - 1) if sender.incarnation == start else 0
-        held.mark, held.taken = (sender.incarnation, sender.sequence), self.period + 1
-        held.stamp, held.began, held.complaint = message.stamp, began, ""
-        self._row[0, held.place] = message.values
-        return True
+        return self.vehicles[vehicle].take(payload, attachment, now, self._clock(), self._field)
 
     def decide(self, now: float) -> dict[str, SetpointMessage]:
-        """Begin a period and return every vehicle's set-point for it.
+        """Begin a period and return the set-point of every vehicle that this node flies.
 
         Args:
             now: seconds since 1970.
         """
         self.period += 1
-        for held in self._vehicles.values():
-            held.reason, held.complaint = self._objection(held, now), ""
-        # All actors decide on one row, as in training, so that the actions are bit-equal to those of training.
-        flying = any(not held.reason for held in self._vehicles.values())
-        shares = self._shares() if flying else np.zeros((0, 2), np.float32)
-        return {vehicle: self._setpoint(held, shares, now) for vehicle, held in self._vehicles.items()}
+        self._listening = self._listening or now
+        self.map.lose(self._team, now, self._listening)
+        for vehicle in self._team:
+            vehicle.judge(now, self._field)
+        self._advance(now)
+        return {vehicle.name: self._setpoint(vehicle, now) for vehicle in self._team if vehicle.flown}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:
         """Begin a period in which every vehicle hovers, for example the last one."""
         self.period += 1
-        for held in self._vehicles.values():
-            held.reason = reason
-        return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
+        for vehicle in self._team:
+            vehicle.cause, vehicle.reason = "end", reason
+        return {vehicle.name: self._hover(vehicle) for vehicle in self._team if vehicle.flown}
 
     def report(self) -> dict[str, Any]:
         """Return the pilot's metrics, as `eia_sec.common.protocol.metrics` declares them."""
-        worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
+        flown = [vehicle for vehicle in self._team if vehicle.flown]
+        worst = sorted(flown, key=lambda v: (not v.reason, -v.causes.total(), v.name))
         return {
             "periods": self.period,
+            "steps": self.map.steps,
+            "served": self.map.served,
             "decisions": self.decisions,
+            "limited": self.limited,
             "hovers": self.hovers,
-            "refused": sum(held.refused for held in self._vehicles.values()),
-            "missed": sum(held.missed for held in self._vehicles.values()),
+            "causes": {cause: sum(vehicle.causes[cause] for vehicle in flown) for cause in CAUSES},
+            "refused": sum(vehicle.refused for vehicle in self._team),
+            "missed": sum(vehicle.missed for vehicle in self._team),
+            "jumps": sum(vehicle.jumps for vehicle in self._team),
+            "standing_by": sum(bool(self._leader(vehicle)) for vehicle in flown),
             "latency": _spread(self._latency),
             "age": _spread(self._age),
             "vehicles": {
-                vehicle: {
-                    "agent": self._names[held.agent],
-                    "hovers": held.hovers,
-                    "refused": held.refused,
-                    "reason": held.reason,
+                vehicle.name: {
+                    "agent": vehicle.agent,
+                    "hovers": vehicle.causes.total(),
+                    "refused": vehicle.refused,
+                    "reason": vehicle.reason,
+                    "obeys": vehicle.newest.node if vehicle.newest is not None else "",
                 }
-                for vehicle, held in worst[:ROWS]
+                for vehicle in worst[:ROWS]
             },
-            "alarms": self._alarms(),
+            "alarms": self._alarms(flown),
         }
 
-    def _shares(self) -> Float32:
-        """Return every agent's velocity [agents, 2] as shares of full speed; NaN where an output is not finite."""
-        state = self._states.begin({held.agent: held.mark for held in self._vehicles.values()})
-        parts = list(self._actors.outputs(self._row, state))
-        shares = self._actors.team.adapt(self._row, noise_free_actions(parts))[0].reshape(-1, 2)
-        # The largest of logits that are not finite has an index like any other, and tanh of infinity is 1.
-        finite = np.concatenate([np.isfinite(outputs[0]).all(axis=-1) for _, _, outputs in parts])
-        return np.where(finite[:, None], shares, np.float32(np.nan))
+    def _advance(self, now: float) -> None:
+        """Take the steps over that are due, and decide after the last."""
+        if self.map.over:
+            return
+        if not self.map.begun:
+            if self.map.begin(self._team):
+                self._begun = self._clock()
+                self._decider.begin(self.map.farm)
+                self._decide()
+            return
+        if not self._options.lockstep:
+            behind = int((self._clock() - self._begun) / self._field.config.world.step_seconds) - self.map.steps
+            if behind > 0:
+                self.map.follow(self._team, behind, now)
+                self._decide()
+        elif all(self._has_flown(vehicle) for vehicle in self._team if vehicle.flown):
+            self.map.follow(self._team, 1, None)
+            self._decide()
 
-    def _checked(
-        self, vehicle: str, held: _Vehicle, payload: bytes, attachment: bytes, now: float
-    ) -> tuple[Envelope, ObservationMessage]:
-        sender, message = Envelope.decode(attachment), ObservationMessage.decode(payload)
-        if (sender.role, sender.name) != ("vehicle", vehicle):
-            raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
-        # An incarnation that is invented or from a fast clock locks nobody out for longer than `age`.
-        waited = message.stamp > held.stamp + self._limits.age * 1e6
-        mark = sender.incarnation, sender.sequence
-        repeated = mark == held.mark and message.stamp > held.stamp
-        if mark <= held.mark and not (waited or repeated):
-            raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")
-        if message.agent != self._names[held.agent]:
-            raise SchemaError(f"it is for agent {message.agent[:64]!r}, not {self._names[held.agent]}.")
-        wanted = held.place.stop - held.place.start
-        if message.values.shape != (wanted,):
-            raise SchemaError(f"it has the shape {list(message.values.shape)}, not [{wanted}].")
-        if not (np.abs(message.values) <= LARGEST).all():
-            raise SchemaError(f"a number is not finite or larger than {LARGEST:g}; is it scaled?")
-        for adapter in self._adapters[held.agent]:
-            if complaint := adapter.complaint(message.values):
-                raise SchemaError(complaint)
-        if (objection := self._stale(message.stamp, now)) is not None:
-            raise ProtocolError(objection)
-        return sender, message
+    def _has_flown(self, vehicle: Vehicle) -> bool:
+        flown = vehicle.newest is not None and vehicle.newest.decision == self._decision and not vehicle.reason
+        return flown or vehicle.lost
 
-    def _stale(self, stamp: int, now: float) -> str | None:
-        age = now - stamp / 1e6
-        if -self._limits.age <= age <= self._limits.age:
-            return None
-        return f"it is {age:.1f} s old" if age > 0 else f"it is {-age:.1f} s ahead of this machine's clock"
+    def _decide(self) -> None:
+        if not self.map.over:
+            self._decision = self.map.steps + 1
+            self._shares = self._decider.decide(self.map.farm)
 
-    def _objection(self, held: _Vehicle, now: float) -> str:
-        """Return why a vehicle has to hover in this period, or an empty text."""
-        silent = self.period - held.taken
-        if held.taken and silent < self._limits.hold and (objection := self._stale(held.stamp, now)) is None:
-            return ""
-        elif held.complaint:
-            return f"the observation cannot be used: {held.complaint}"[:REASON]
-        elif not held.taken:
-            return "no observation has come yet"
-        elif silent < self._limits.hold:
-            return f"the observation is too old: {objection}"
-        return f"no observation for {silent} period{'s' if silent > 1 else ''}"
-
-    def _setpoint(self, held: _Vehicle, shares: Float32, now: float) -> SetpointMessage:
-        if held.reason:
-            return self._hover(held)
-        share = shares[held.agent]
-        if not np.isfinite(share).all():
-            held.reason = "the actor's output is not finite"
-            return self._hover(held)
+    def _setpoint(self, vehicle: Vehicle, now: float) -> SetpointMessage:
+        if not vehicle.reason:
+            vehicle.cause, vehicle.reason = self._policy_objection(vehicle)
+        pose, place = vehicle.newest, vehicle.place
+        if vehicle.reason or pose is None or place is None:
+            return self._hover(vehicle)
+        share = self._shares[vehicle.row]
+        wanted: NDArray[np.float64] = share.astype(np.float64) * self._speed
+        velocity = inside_border(self._field.config, vehicle.row, wanted, place)
+        self.map.commanded(vehicle.row, velocity)
         self.decisions += 1
-        self._states.keep(held.agent, held.mark)
-        # Double precision, so that dividing by the speed recovers the actor's action exactly.
-        velocity = tuple(float(part) * speed for part, speed in zip(share, self._speed, strict=True))
-        latency = self._clock() - held.began
+        self.limited += velocity != tuple(wanted.tolist())
+        latency = self._clock() - vehicle.began
         self._latency.append(latency)
-        self._age.append(now - held.stamp / 1e6)
-        agent = self._names[held.agent]
-        return SetpointMessage(agent, velocity, False, "", held.mark[1], held.stamp, self.period, latency)
+        self._age.append(now - pose.stamp / 1e6)
+        return SetpointMessage(
+            agent=vehicle.agent,
+            velocity=velocity,
+            target=_target(self._field.config, place, velocity),
+            height=self.map.height(vehicle.row),
+            yaw=YAW,
+            action=tuple(share.astype(np.float64).tolist()),
+            hover=False,
+            reason="",
+            decision=self._decision,
+            period=self.period,
+            validity=self._options.validity,
+            stamp=pose.stamp,
+            latency=latency,
+        )
 
-    def _hover(self, held: _Vehicle) -> SetpointMessage:
+    def _policy_objection(self, vehicle: Vehicle) -> tuple[str, str]:
+        if self.map.over:
+            return "end", f"the flight's {self._field.config.world.steps} steps are over"
+        if not self.map.begun:
+            absent = [other.name for other in self._team if other.place is None and not other.lost]
+            rest = f" and {len(absent) - 1} others" if len(absent) > 1 else ""
+            return "missing", f"the flight begins with the first pose of {absent[0]}{rest}"
+        if not np.isfinite(self._shares[vehicle.row]).all():
+            return "policy", "the policy's output is not finite"
+        return "", ""
+
+    def _hover(self, vehicle: Vehicle) -> SetpointMessage:
         self.hovers += 1
-        held.hovers += 1
-        return SetpointMessage(self._names[held.agent], (0.0, 0.0), True, held.reason, 0, 0, self.period, 0.0)
+        vehicle.causes[vehicle.cause] += 1
+        self.map.commanded(vehicle.row, (0.0, 0.0))
+        pose = vehicle.newest
+        return SetpointMessage(
+            agent=vehicle.agent,
+            velocity=(0.0, 0.0),
+            target=vehicle.place or (),
+            height=self.map.height(vehicle.row),
+            yaw=YAW,
+            action=(0.0, 0.0),
+            hover=True,
+            reason=vehicle.reason[:REASON],
+            decision=0,
+            period=self.period,
+            validity=self._options.validity,
+            stamp=pose.stamp if pose is not None else 0,
+            latency=self._clock() - vehicle.began if pose is not None else 0.0,
+        )
 
-    def _alarms(self) -> list[str]:
-        """Return one sentence for each of the most common reasons to hover."""
+    def _leader(self, vehicle: Vehicle) -> str:
+        """Return the other flight node that a vehicle obeys, or an empty text."""
+        pose, own = vehicle.newest, (self._options.name, self._options.start)
+        if pose is None or not pose.node or (pose.node, pose.node_start) == own:
+            return ""
+        return pose.node if pose.node != own[0] else f"{pose.node} of another start"
+
+    def _alarms(self, flown: Sequence[Vehicle]) -> list[str]:
+        """Return one sentence for each of the most common reasons to hover, and for other flight nodes."""
         vehicles_by: dict[str, list[str]] = {}
-        for vehicle, held in self._vehicles.items():
-            if held.reason:
-                vehicles_by.setdefault(held.reason, []).append(vehicle)
+        for vehicle in flown:
+            if vehicle.reason:
+                vehicles_by.setdefault(vehicle.reason, []).append(vehicle.name)
         common = sorted(vehicles_by.items(), key=lambda item: -len(item[1]))[:REASONS]
-        found = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
+        found = [f"{_named(vehicles, 'hover')}: {reason.rstrip('.')}." for reason, vehicles in common]
         rest = sum(map(len, vehicles_by.values())) - sum(len(vehicles) for _, vehicles in common)
-        return [*found, *([f"{rest} more hover for other reasons."] if rest else [])]
+        return [*found, *([f"{rest} more hover for other reasons."] if rest else []), *self._claims(flown)]
+
+    def _claims(self, flown: Sequence[Vehicle]) -> list[str]:
+        """Return a sentence for each other flight node that flies, or wants to fly, the same vehicles."""
+        leads: dict[str, list[str]] = {}
+        rivals: dict[str, list[str]] = {}
+        for vehicle in flown:
+            if leader := self._leader(vehicle):
+                leads.setdefault(leader, []).append(vehicle.name)
+            elif vehicle.newest is not None and vehicle.newest.rival:
+                rivals.setdefault(vehicle.newest.rival, []).append(vehicle.name)
+        return [
+            *(f"{_named(v, 'obey')} the flight node {n}; this one stands by." for n, v in sorted(leads.items())),
+            *(f"{_named(v, 'obey')} this node; the flight node {n} claims them." for n, v in sorted(rivals.items())),
+        ][:REASONS]
 
 
 def require_agents(agents: Mapping[str, str], known: Sequence[str], whose: str) -> None:
@@ -276,19 +305,20 @@ def require_agents(agents: Mapping[str, str], known: Sequence[str], whose: str) 
         raise ConfigError("two vehicles have the same agent; each needs its own.")
 
 
-def _named(vehicles: list[str]) -> str:
-    """Return "a, b and 7 others hover"."""
+def _target(config: FarmConfig, place: tuple[float, float], velocity: tuple[float, float]) -> tuple[float, float]:
+    """Return where a velocity leads in a step, inside the field, m."""
+    world = config.world
+    ends = (at + speed * world.step_seconds for at, speed in zip(place, velocity, strict=True))
+    x, y = (min(side, max(0.0, end)) for end, side in zip(ends, (world.field_x, world.field_y), strict=True))
+    return x, y
+
+
+def _named(vehicles: list[str], verb: str) -> str:
+    """Return "a, b and 7 others hover", or "a hovers"."""
     if len(vehicles) == 1:
-        return f"{vehicles[0]} hovers"
+        return f"{vehicles[0]} {verb}s"
     rest = len(vehicles) - 2
-    return f"{', '.join(vehicles[:2])} and {rest} others hover" if rest > 1 else f"{', '.join(vehicles)} hover"
-
-
-def _places(actors: TeamActors) -> list[slice]:
-    """Return where each agent's observation lies in a row."""
-    sizes = [group.observation_size for group in actors.team.groups for _ in range(group.count)]
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(ends[index], ends[index + 1]) for index in range(len(sizes))]
+    return f"{', '.join(vehicles[:2])} and {rest} others {verb}" if rest > 1 else f"{', '.join(vehicles)} {verb}"
 
 
 def _spread(values: deque[float]) -> dict[str, float]:

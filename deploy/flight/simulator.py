@@ -1,7 +1,7 @@
-"""Simulated vehicles: each UAV of a farm publishes its observations and obeys its set-points."""
+"""Simulated vehicles: each UAV of a farm publishes its poses and what it served, and obeys its set-points."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,14 +12,15 @@ from eia_sec.common.config import FarmConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol.messages import SetpointMessage
-from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.team import Float32
 from eia_sec.common.transitions import EpisodeSummary
-from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
+from eia_sec.rollout.followed_farm import served_in
 from eia_sec.rollout.heuristics.farms import make_farms
 
-RESEND_SECONDS: Final = 0.5
-"""Time without an answer after which a vehicle publishes its observation again: messages may be lost."""
+RESEND_SECONDS: Final = 0.2
+"""Time without a decision after which a vehicle publishes its pose again: messages may be lost, and poses grow old."""
 LOOK_SECONDS: Final = 0.0005
 """Seconds between two checks for set-points."""
 
@@ -31,9 +32,9 @@ class Flight:
     Attributes:
         summary: the episode's summary.
         actions: the environment's actions [2 n] float32 of each step, as received.
-        round_trips: seconds from publishing an observation to its set-point, for each vehicle and step.
-        hovers: hover set-points received while the simulator waited; no simulated time passes.
-        resent: observations that were published again.
+        round_trips: seconds from publishing a pose to the decision on it, for each vehicle and step.
+        hovers: times that a vehicle was told to hover while the simulator waited; no simulated time passes.
+        resent: poses that were published again.
     """
 
     summary: EpisodeSummary
@@ -46,8 +47,9 @@ class Flight:
 class SimulatedFleet:
     """Flies one episode over the bus.
 
-    A step is taken when every UAV has the set-point that answers its observation of that step, so the result does not
-    depend on the speed of the network.
+    A step is taken when every UAV has the next decision. A node in lockstep waits for the step in turn, so the result
+    does not depend on the speed of the network. A node that goes by the clock decides once in each step's time; if the
+    simulator is later than that, it misses decisions.
 
     Args:
         config: the farm.
@@ -58,59 +60,103 @@ class SimulatedFleet:
     def __init__(self, config: FarmConfig, links: Mapping[str, VehicleLink], patience: float = 30.0) -> None:
         self._farms = make_farms(config, 1)
         self._links, self._patience = links, patience
-        self._speed = np.array([config.world.speed_x_max, config.world.speed_y_max])
+        world = config.world
+        self._heights = np.repeat(
+            (world.height_communication, world.height_monitoring, world.height_collection), world.counts
+        ).tolist()
 
     def fly(self, farm: int, episode: int, stop: StopSignal, steps: int | None = None) -> Flight:
         """Fly an evaluation episode or its first steps; end early if stopped.
 
         Raises:
-            BusError: no set-point has arrived for too long.
+            BusError: no decision has come for too long.
         """
         farms = self._farms
         farms.reset(0, farm, episode_seed(farm, episode))
         flight = Flight(farms.summary(0))
         most = farms.config.world.steps if steps is None else min(steps, farms.config.world.steps)
+        last = 0
         for _ in range(most):
-            velocity = self._decided(flight, stop)
-            if velocity is None:
+            decided = self._decided(flight, last, stop)
+            if decided is None:
                 break
-            action = (velocity / self._speed).astype(np.float32).reshape(1, -1)
-            farms.step(action)
-            flight.actions.append(action[0])
+            action, last = decided
+            self._step(action)
+            flight.actions.append(action)
+        for agent in self._links:
+            self._publish([agent])
         flight.summary = farms.summary(0)
         return flight
 
-    def _decided(self, flight: Flight, stop: StopSignal) -> NDArray[np.float64] | None:
-        """Publish all observations and return the answering velocities [agents, 2] in m/s, or None if stopped."""
-        team = self._farms.team
-        seen = dict(zip(team.agent_names, _each(self._farms.observation[0], team), strict=True))
+    def _step(self, action: Float32) -> None:
+        """Simulate a step, and let the vehicles know what they served in it."""
+        farms = self._farms
+        level, age = farms.vdf[0].copy(), farms.aoi[0].copy()
+        farms.step(action[None])
+        n_c, n_m, _ = farms.config.world.counts
+        names = farms.team.agent_names
+        for first, last, places, items in served_in(farms, level, age, n_c, n_c + n_m):
+            own = farms.position[0, first:last]
+            alive = np.where(farms.gone[0, first:last], np.inf, 0.0)
+            apart = ((places[:, None] - own[None]) ** 2).sum(axis=2) + alive
+            nearest = apart.argmin(axis=1)
+            for agent in range(last - first):
+                self._links[names[first + agent]].serve(items[nearest == agent].tolist())
+
+    def _publish(self, agents: Iterable[str]) -> None:
+        """Publish the poses of some agents' vehicles."""
+        farms, names = self._farms, self._farms.team.agent_names
+        inertial, charged = farms.config.dynamics.inertial, farms.config.battery.some
+        for agent in agents:
+            u = names.index(agent)
+            motion = farms.motion[0, u] if inertial else np.zeros(6)
+            vx, vy, ax, ay, cx, cy = motion.tolist()
+            x, y = farms.position[0, u].tolist()
+            wind = tuple(farms.wind[0].tolist()) if farms.config.wind.some else ()
+            self._links[agent].publish(
+                Pose(
+                    place=(x, y),
+                    height=self._heights[u],
+                    velocity=(vx, vy),
+                    acceleration=(ax, ay),
+                    commanded=(cx, cy),
+                    charge=float(farms.charge[0, u]) if charged else None,
+                    wind=wind,
+                    lost=bool(farms.gone[0, u]),
+                )
+            )
+
+    def _decided(self, flight: Flight, last: int, stop: StopSignal) -> tuple[Float32, int] | None:
+        """Publish all poses; return the decided actions [2 n] and their number, or None if stopped."""
+        names = self._farms.team.agent_names
         began = resent = time.monotonic()
-        first = {agent: self._links[agent].observe(values) for agent, values in seen.items()}
+        self._publish(names)
         found: dict[str, SetpointMessage] = {}
-        while len(found) < len(seen):
+        flying = [name for name, gone in zip(names, self._farms.gone[0], strict=True) if not gone]
+        hovering: set[str] = set()
+        while len(found) < len(flying):
             if stop:
                 return None
-            for agent in seen.keys() - found.keys():
-                for message in self._links[agent].setpoints():
-                    flight.hovers += message.hover
-                    if not message.hover and message.answers >= first[agent]:
-                        found[agent] = message
-                        flight.round_trips.append(time.monotonic() - began)
+            for agent in set(flying) - found.keys():
+                message = self._links[agent].setpoint()
+                if not message.hover and message.decision > last:
+                    found[agent] = message
+                    flight.round_trips.append(time.monotonic() - began)
+                elif message.hover and message.period > 0 and agent not in hovering:
+                    hovering.add(agent)
+                    flight.hovers += 1
             now = time.monotonic()
             if now - began > self._patience:
-                missing = sorted(seen.keys() - found.keys())
+                missing = sorted(set(flying) - found.keys())
+                why = self._links[missing[0]].setpoint().reason
                 raise BusError(
-                    f"no set-point for {', '.join(missing)} within {self._patience:.0f} s; is a flight node running?"
+                    f"no decision for {', '.join(missing)} within {self._patience:.0f} s"
+                    + (f": {why}." if why else "; is a flight node running?")
                 )
             if now - resent > RESEND_SECONDS:
                 resent = now
-                for agent in seen.keys() - found.keys():
-                    self._links[agent].repeat()
-                    flight.resent += 1
+                flight.resent += len(flying) - len(found)
+                self._publish(set(flying) - found.keys())
             stop.event.wait(LOOK_SECONDS)
-        return np.array([found[agent].velocity for agent in team.agent_names])
-
-
-def _each(row: Float32, team: TeamSpec) -> list[Float32]:
-    """Return every agent's part of a row of observations, in row order."""
-    return [agent for group in team.split_observations(row) for agent in group]
+        actions: NDArray[np.float64] = np.array([found[n].action if n in found else (0.0, 0.0) for n in names])
+        return actions.astype(np.float32).ravel(), max((m.decision for m in found.values()), default=last)

@@ -2,9 +2,10 @@
 
 Run `python -m research.benchmarks.fly --write research/results/fly.json`, then `make docs`.
 
-For each rate `eia-sec fly` with the policy that ships and `eia-sec simulator` with all UAVs of one farm, two processes
-on one machine. The simulator makes its next step when every UAV has its set-point, so it asks as fast as the path lets
-it. Latencies are the node's own over its newest 1,000 decisions, round trips those of every vehicle and step.
+For each rate `eia-sec fly` in lockstep with the policy that ships and `eia-sec simulator` with all UAVs of one farm,
+two processes on one machine. The simulator makes its next step when every UAV has its decision, so it asks as fast as
+the path lets it. Latencies are the node's own over its newest 1,000 set-points, round trips those of every vehicle and
+step.
 """
 
 import json
@@ -42,7 +43,7 @@ class Arguments:
     rates: tuple[float, ...] = (10.0, 100.0)
     """Set-points per second and vehicle."""
     seconds: float = 30.0
-    """Length of each flight: so many seconds times the rate are its steps, up to an episode's."""
+    """Length of each flight: so many seconds times the rate are its steps, but fewer than an episode's."""
     farm: int = 1000
     """Seed of the farm."""
     json: bool = False
@@ -59,7 +60,8 @@ def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
     """
     endpoint = free_endpoint()
     where = ("--run", RUN)
-    listen = ("fly", "--policy", "trained", "--rate", str(rate), "--listen", str(endpoint), *where)
+    listen = ("fly", "--policy", "trained", "--lockstep", "--rate", str(rate), "--listen", str(endpoint), *where)
+    listen += ("--farm", str(arguments.farm), "--validity", str(max(0.5, 2.0 / rate)))
     node = subprocess.Popen([sys.executable, "-m", "eia_sec.deploy.cli", *listen], stdout=subprocess.DEVNULL)
     try:
         with Bus.connect(endpoint, "control", wait=60.0) as bus:
@@ -77,7 +79,7 @@ def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
 
 
 def _simulate(arguments: Arguments, rate: float, endpoint: Endpoint, where: tuple[str, ...]) -> dict[str, Any]:
-    steps = ("--steps", str(max(1, round(arguments.seconds * rate))))
+    steps = ("--steps", str(max(1, min(round(arguments.seconds * rate), FarmConfig().world.steps - 1))))
     what = ("simulator", "--farm", str(arguments.farm), *steps, "--connect", str(endpoint), "--json", *where)
     done = subprocess.run(
         [sys.executable, "-m", "eia_sec.deploy.cli", *what],

@@ -118,7 +118,7 @@ def stage_shares(config: FarmConfig, environments: int) -> dict[str, float]:
         PLACE[:] = 0
         for _ in range(config.world.steps):
             batch._action[...] = random.uniform(-1.0, 1.0, batch._action.shape)
-            step_range(batch._arguments[0].address, 0, environments, False, False)
+            step_range(batch._arguments[0].address, 0, environments, False, kernel.STEP)
     cycles = dict.fromkeys(stages, 0.0)
     for name, count in zip(stages, PLACE.tolist(), strict=False):
         cycles[name] += count

@@ -200,7 +200,7 @@ def watch_block(data: dict[str, Any]) -> str:
 def fly_block(data: dict[str, Any]) -> str:
     """Return the block on the latency of a flight node."""
     rows = [
-        "| rate | decisions | latency, ms: median, 99 %, most | round trip, ms: median, 99 %, most | left out |",
+        "| rate | set-points | latency, ms: median, 99 %, most | round trip, ms: median, 99 %, most | left out |",
         "|---:|---:|---:|---:|---:|",
     ]
     for line in data["flights"]:
@@ -214,8 +214,9 @@ def fly_block(data: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"`{data['command']}`, commit {data['commit']} ([results/fly.json](../../research/results/fly.json)):",
-            f"{data['vehicles']} UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine",
-            f"with {data['cores']} cores. Latencies are of the newest 1,000 decisions, round trips of all.",
+            f"{data['vehicles']} UAVs, `eia-sec fly --policy trained --lockstep --rate R` and `eia-sec simulator`",
+            f"on one machine with {data['cores']} cores. Latencies are of the newest 1,000 set-points, round trips",
+            "of all.",
             "",
             *rows,
             "",

@@ -19,7 +19,7 @@ from eia_sec.rollout.sim.conditions.stress import first_counters, patches, short
 from eia_sec.rollout.sim.conditions.wind import wind_series
 from eia_sec.rollout.sim.conditions.zones import zone_sides
 from eia_sec.rollout.sim.core.arrays import REWARD_PARTS, make_scratch
-from eia_sec.rollout.sim.core.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
+from eia_sec.rollout.sim.core.step import BEGIN, NOT_FINITE, OUT_OF_TIME, STEP, check_step, step_range
 from eia_sec.rollout.sim.core.workspace import PackedArguments, make_workspace
 from eia_sec.rollout.sim.layout import Layout, by_rows, make_layout
 from eia_sec.rollout.sim.start import packet_key, start_levels, start_positions
@@ -233,7 +233,7 @@ class FarmBatch:
             array[e] = 0.0
         for visits in (state.plot_visit, state.sensor_visit, state.hindsight):
             visits[e] = 0
-        begin_episode(self._arguments[0].address, e)
+        step_range(self._arguments[0].address, e, e + 1, False, BEGIN)
 
     def _begin_counters(self, e: int, layout: Layout) -> None:
         """Set the cycles and first rises of an episode that begins, and draw patches of stress that nobody knows."""
@@ -262,17 +262,21 @@ class FarmBatch:
         if action.shape != own.shape or action.dtype != own.dtype:
             raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
         own[...] = action
-        if self.config.observation.route and self.config.loses_uavs:
-            for e in np.flatnonzero(self._state.living[:, 1] != self._sweeping).tolist():
-                self._divide_field(e)
+        self._divide_again()
         address = self._arguments[0].address
-        objection = check_step(address) if self._pool else step_range(address, 0, len(own), True, False)
+        objection = check_step(address) if self._pool else step_range(address, 0, len(own), True, STEP)
         if objection == NOT_FINITE:
             raise SimulationError("an action is not finite.")
         if objection == OUT_OF_TIME:
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
         if self._pool:
             self._step_shares(self._pool)
+
+    def _divide_again(self) -> None:
+        """Divide the fields anew whose monitors have become fewer since they were divided."""
+        if self.config.observation.route and self.config.loses_uavs:
+            for e in np.flatnonzero(self._state.living[:, 1] != self._sweeping).tolist():
+                self._divide_field(e)
 
     def _divide_field(self, e: int) -> None:
         """Give the monitors of an environment that are left the sweep routes of a field that is divided among them."""
@@ -285,7 +289,7 @@ class FarmBatch:
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
         """Step a share of the environments on each thread; the caller's own thread takes the first."""
         work = [
-            (packed.address, *share, False, False) for packed, share in zip(self._arguments, self._shares, strict=True)
+            (packed.address, *share, False, STEP) for packed, share in zip(self._arguments, self._shares, strict=True)
         ]
         others = [pool.submit(step_range, *share) for share in work[1:]]
         step_range(*work[0])

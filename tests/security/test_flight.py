@@ -1,64 +1,65 @@
-"""Flying with certificates: a vehicle is served, and nobody else can observe or command in its name."""
+"""Flying with certificates: a vehicle is served, and nobody else can tell its pose or command it."""
 
+import dataclasses
 import time
 
-import numpy as np
-
-from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.farm import farm_team
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.flight.node import FlightNode, NodeOptions
-from eia_sec.deploy.flight.pilot import Limits, Pilot
-from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
+from tests.deploy.flight.air import make_pilot
+from tests.deploy.flight.test_pilot import Constant
 
 RUN, AGENT, SPEED = "run", "communication_0", (10.0, 10.0)
-TEAM = farm_team(FarmConfig())
-SEEN = np.ones(TEAM.groups[0].observation_size, np.float32)
-SECONDS = 30.0
+FARM = FarmConfig()
+ALONE = dataclasses.replace(FARM.world, communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
+HERE = Pose((50.0, 60.0), 22.0, (0.0, 0.0))
+SECONDS = 60.0
 
 
 def test_a_vehicle_flies_alone_under_its_own_name(keys_folder):
-    """The vehicle's own observations are decided on; another vehicle's in its name never arrive, nor do set-points."""
+    """The vehicle's own poses are flown on; another vehicle's in its name never arrive, nor do set-points."""
     where = str(free_endpoint())
-    pilot = Pilot(TeamActors.initial(TEAM, 8, 0), {"uav": AGENT}, SPEED, Limits())
+    clock, start = time.monotonic, 1
+    config = dataclasses.replace(FARM, world=ALONE)
+    names = {AGENT: "uav", "monitoring_0": "other"}
+    pilot = make_pilot(config, Constant(agent_count=3), clock=clock, names=names, only=("uav",), start=start)
     with (
         Bus.listen(Endpoint.parse(where, keys_folder / "flight.main"), "control") as bus,
         Bus.connect(Endpoint.parse(where, keys_folder / "vehicle.uav"), "control", wait=SECONDS) as own,
         Bus.connect(Endpoint.parse(where, keys_folder / "vehicle.other"), "control", wait=SECONDS) as other,
     ):
-        node = FlightNode(NodeOptions(RUN), pilot, ("uav",), bus)
-        mine = VehicleLink(own, RUN, "uav", AGENT, SPEED)
+        node = FlightNode(NodeOptions(RUN, "main", start), pilot, bus)
+        mine, second = (
+            VehicleLink(own, RUN, "uav", AGENT, SPEED),
+            VehicleLink(other, RUN, "other", "monitoring_0", SPEED),
+        )
         forged = VehicleLink(other, RUN, "uav", AGENT, SPEED)
         command = other.publish(keys.SETPOINT.key(RUN, vehicle="uav"))
-        steer = SetpointMessage(AGENT, (10.0, 10.0), False, "", 1, 1, 1, 0.0).encode()
+        far = dataclasses.replace(HERE, place=(1e6, 1e6))
+        steer = SetpointMessage(AGENT, (9.0, 9.0), (), 22.0, 0.0, (0.9, 0.9), False, "", 99, 99, 5.0, 1, 0.0).encode()
+        heard = pilot.vehicles
         deadline = time.monotonic() + SECONDS
-        found: list[SetpointMessage] = []
-        while not any(not message.hover for message in found) and time.monotonic() < deadline:
-            mine.observe(SEEN)
+        while not (heard["uav"].newest and heard["other"].newest) and time.monotonic() < deadline:
+            mine.publish(HERE)
+            second.publish(HERE)
             node.turn()
-            found += mine.setpoints()
             time.sleep(0.05)
-        assert any(not message.hover for message in found)
-        idle = 0
-        while idle < 10 and time.monotonic() < deadline:  # until none of its own is under way
-            decided = pilot.decisions
-            node.turn()
-            time.sleep(0.2)
-            found += mine.setpoints()
-            idle = idle + 1 if found[-1].hover and pilot.decisions == decided else 0
-        assert found[-1].hover
-        before = pilot.decisions
+        assert heard["uav"].newest is not None
+        assert mine.setpoint().hover  # the third one is missing
+        assert "collection_0" in mine.setpoint().reason
+        own_poses = heard["uav"].newest
         for number in range(20):
-            forged.observe(SEEN)
+            forged.publish(far)
             command.put(steer, Envelope("flight", "x", 2**62, number + 1).encode())
+            second.publish(HERE)
             node.turn()
             time.sleep(0.05)
-        assert (pilot.decisions, pilot.report()["refused"]) == (before, 0)
-        assert all(message.hover for message in mine.setpoints())
-        assert mine.refused == 0
-        # What it sees is what it put itself, which never left its process.
-        assert {message.velocity for message in forged.setpoints()} <= {(10.0, 10.0)}
+            assert mine.setpoint().velocity == (0.0, 0.0)
+        assert heard["other"].newest.stamp > own_poses.stamp  # what it may tell did arrive meanwhile
+        assert heard["uav"].newest == own_poses
+        assert pilot.report()["refused"] == 0
+        assert (mine.refused, mine.node) == (0, "main")

@@ -183,7 +183,7 @@ def test_what_a_lasting_sender_sends_reaches_everybody_who_may_read_it(keys_fold
     assert {(way.right, keys.parse(way.key).family.template) for way in expected} >= {
         ("put", keys.METRIC.template),
         ("put", keys.VIEW.template),
-        ("put", keys.OBSERVATION.template),
+        ("put", keys.POSE.template),
         ("ask", keys.TRANSITION.template),
         ("ask", keys.ENVIRONMENT.template),
         ("appear", keys.ENVIRONMENT_LIVE.template),

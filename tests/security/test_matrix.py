@@ -102,13 +102,13 @@ def test_the_table_says_what_was_asked_for():
 ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle", "environment")
 
 
-def test_a_vehicle_writes_its_own_observations_alone_and_nobody_but_the_flight_node_set_points():
+def test_a_vehicle_writes_its_own_poses_alone_and_nobody_but_the_flight_node_set_points():
     """Of all that the table lets a vehicle send there is one key, and set-points come from one role."""
     sends = {"put", "ask", "answer", "appear"}
     held = {role: [g for g in access.grants_of(role) if g.right in sends] for role in ROLES}
     (only,) = held["vehicle"]
     sent = [pair for pair in only.expressions("uav-7", "run") if pair[0] in sends]
-    assert sent == [("put", f"{keys.ROOT}/run/flight/uav-7/observation")]
+    assert sent == [("put", f"{keys.ROOT}/run/flight/uav-7/pose")]
     assert {role for role in ROLES if any(g.family == keys.SETPOINT for g in held[role])} == {"flight"}
     assert {g.family for g in held["flight"]} == {keys.SETPOINT, keys.METRIC, keys.LIVE}
 

@@ -1,16 +1,14 @@
-"""Flying over the path: a node in a process of its own, the simulator or a single vehicle at the other end."""
+"""Flying over the path: nodes in processes of their own, the simulator or single vehicles at the other end."""
 
 import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eia_sec.common.actions.adapters import SIGNS
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.farm import farm_team
@@ -18,12 +16,12 @@ from eia_sec.common.gru import Memory
 from eia_sec.common.policy_file import save_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol import keys
-from eia_sec.common.protocol.messages import MetricMessage, SetpointMessage
+from eia_sec.common.protocol.messages import MetricMessage
 from eia_sec.common.protocol.metrics import METRICS, undeclared
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.flight.simulator import SimulatedFleet
-from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed, evaluate
 from eia_sec.rollout.policies import ActorPolicy
 from eia_sec.rollout.sim.batch import FarmBatch
@@ -39,19 +37,35 @@ SECONDS = 90.0
 class Node:
     """An `eia-sec fly` process and its policy."""
 
-    def __init__(self, folder: Path, toml: str = TINY, *, shared: bool = False, memory: Memory = "none") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        toml: str = TINY,
+        *more: str,
+        shared: bool = False,
+        memory: Memory = "none",
+        connect: Endpoint | None = None,
+    ) -> None:
         self.farm = configured(toml).farm
         team = farm_team(self.farm)
         self.actors = TeamActors.initial(team, 16, 5, per_type=False, shared=shared, memory=memory)
         for parameters in self.actors.flat:
             np.multiply(parameters, 8.0, out=parameters)  # fresh actors hardly move
-        self.endpoint: Endpoint = free_endpoint()
+        self.endpoint: Endpoint = connect or free_endpoint()
         self.config = folder / "farm.toml"
         self.config.write_text(to_toml(configured(toml)), encoding="utf-8")
         save_policy(folder / "actors.safetensors", self.actors, {})
         self.log = folder / "fly.log"
         command = ["fly", "--policy", str(folder / "actors.safetensors"), "--config", str(self.config)]
-        command += ["--run", RUN, "--listen", str(self.endpoint), "--rate", str(RATE)]
+        command += [
+            "--run",
+            RUN,
+            "--connect" if connect else "--listen",
+            str(self.endpoint),
+            "--rate",
+            str(RATE),
+            *more,
+        ]
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "eia_sec.deploy.cli", *command], stdout=log, stderr=log
@@ -67,40 +81,38 @@ class Node:
         self.process.wait(10.0)
 
 
-@pytest.fixture(scope="module")
-def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
-    """A flight node that serves every agent of a small farm."""
-    flying = Node(tmp_path_factory.mktemp("fly"))
-    yield flying
-    flying.close()
+LOCKSTEP = ("--lockstep", "--farm", "1003")
+CHOICES = TINY + '[farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncollection = "moves"\n'
 
 
-@pytest.fixture(scope="module")
-def choosing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
-    """A flight node whose actors choose headings and moves, each type with one row of parameters."""
-    control = '[farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncollection = "moves"\n'
-    flying = Node(tmp_path_factory.mktemp("choose"), TINY + control, shared=True)
-    yield flying
-    flying.close()
+def links_of(bus: Bus) -> dict[str, VehicleLink]:
+    """Return a link for every agent's vehicle."""
+    return {agent: VehicleLink(bus, RUN, agent, agent, FASTEST) for agent in TEAM.agent_names}
 
 
-@pytest.fixture(scope="module")
-def remembering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
-    """A flight node whose actors have memory."""
-    flying = Node(tmp_path_factory.mktemp("remember"), memory="gru")
-    yield flying
-    flying.close()
+def tell(links: dict[str, VehicleLink], *but: str) -> bool:
+    """Let all vehicles but some tell where they are; return True."""
+    for number, (name, link) in enumerate(links.items()):
+        if name not in but:
+            link.publish(Pose((10.0 + 15.0 * number, 50.0), 20.0, (0.0, 0.0)))
+    return True
 
 
-@pytest.mark.parametrize("which", ["node", "choosing", "remembering"])
-def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(
-    which: str, request: pytest.FixtureRequest
-) -> None:
-    """An episode over the bus has the same actions and result as one without it."""
-    node: Node = request.getfixturevalue(which)
-    with node.bus() as bus:
-        links = {agent: VehicleLink(bus, RUN, agent, agent, FASTEST) for agent in TEAM.agent_names}
-        flight = SimulatedFleet(node.farm, links, SECONDS).fly(1003, 0, StopSignal())
+@pytest.mark.parametrize("which", ["continuous", "choosing", "remembering"])
+def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(which: str, tmp_path: Path) -> None:
+    """An episode over the bus has the same actions and result as one without it; then the node ends by itself."""
+    toml = CHOICES if which == "choosing" else TINY
+    memory: Memory = "gru" if which == "remembering" else "none"
+    node = Node(tmp_path, toml, *LOCKSTEP, shared=which == "choosing", memory=memory)
+    try:
+        with node.bus() as bus:
+            links = links_of(bus)
+            flight = SimulatedFleet(node.farm, links, SECONDS).fly(1003, 0, StopSignal())
+            last = links[TEAM.agent_names[0]]
+            until(lambda: "are over" in last.setpoint().reason, "the last hover")
+            assert node.process.wait(SECONDS) == 0
+    finally:
+        node.close()
     alone, policy = FarmBatch(node.farm, 1), ActorPolicy(node.actors)
     alone.reset(0, 1003, episode_seed(1003, 0))
     policy.reset(alone, 0)
@@ -115,35 +127,74 @@ def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(
     assert len(flight.round_trips) == len(actions) * TEAM.agents
 
 
-def test_hover_is_commanded_in_the_period_after_observations_stop(node: Node) -> None:
-    """By the node's own count of periods: the set-point after the last decision commands hover, and so do all later."""
-    agent = TEAM.agent_names[-1]
-    values = np.random.default_rng(0).uniform(-1, 1, TEAM.groups[-1].observation_size).astype(np.float32)
-    values[SIGNS] = 1.0
-    with node.bus() as bus:
-        link = VehicleLink(bus, RUN, agent, agent, FASTEST)
-        decided: list[SetpointMessage] = []
-        after: list[SetpointMessage] = []
-
-        def answered() -> bool:
-            found = link.setpoints()
-            decided.extend(message for message in found if not message.hover)
-            if decided:
-                after.extend(message for message in found if message.period > decided[-1].period)
-            return bool(decided)
-
-        until(lambda: link.observe(values) and answered(), "a decision")
-        until(lambda: answered() and len(after) >= 10, "set-points after the last observation")
-        link.refused = 0
-    last = max(message.period for message in decided)
-    later = [message for message in after if message.period > last]
-    assert later[0].period == last + 1
-    assert all(message.hover and message.velocity == (0.0, 0.0) for message in later)
-    assert later[0].reason == "no observation for 1 period"
+def test_a_vehicle_whose_poses_stop_hovers_while_the_others_fly(tmp_path: Path) -> None:
+    """By the clock, without lockstep: decisions go on, and the reason names the silence."""
+    node = Node(tmp_path)
+    silent, other = TEAM.agent_names[-1], TEAM.agent_names[0]
+    try:
+        with node.bus() as bus:
+            links = links_of(bus)
+            until(lambda: tell(links) and not any(link.setpoint().hover for link in links.values()), "decisions of all")
+            until(lambda: tell(links, silent) and "no pose for" in links[silent].setpoint().reason, "hover")
+            assert not links[other].setpoint().hover
+            before = links[other].setpoint().decision
+            until(lambda: tell(links) and links[other].setpoint().decision > before, "the next decision")
+            until(lambda: tell(links) and not links[silent].setpoint().hover, "a decision for all again")
+    finally:
+        node.close()
 
 
-def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
+def test_of_two_nodes_one_flies_and_the_other_takes_over_when_it_is_killed(tmp_path: Path) -> None:
+    """Vehicles obey the first; both say so in their metrics. After kill -9 vehicles hover, then obey the second."""
+    endpoint = free_endpoint()
+    nodes: dict[str, Node] = {}
+
+    def start(name: str) -> None:
+        folder = tmp_path / name
+        folder.mkdir()
+        nodes[name] = Node(folder, TINY, "--name", name, "--patience", str(SECONDS), connect=endpoint)
+
+    with Bus.listen(endpoint, "control") as bus:
+        links = links_of(bus)
+        reports: dict[str, MetricMessage] = {}
+        metrics = bus.subscribe(keys.METRIC.pattern(RUN, role="flight"), 64)
+
+        def told() -> dict[str, str]:
+            tell(links)
+            for link in links.values():
+                link.setpoint()
+            for sample in metrics.drain():
+                reports[sample.key.rsplit("/", 1)[1]] = MetricMessage.decode(sample.payload)
+            return {name: " ".join(report.values["alarms"]) for name, report in reports.items()}
+
+        try:
+            start("first")
+            until(lambda: told() is not None and {link.node for link in links.values()} == {"first"}, "the first node")
+            start("second")
+            until(
+                lambda: (
+                    "the flight node second claims them" in told().get("first", "")
+                    and "the flight node first; this one stands by" in told().get("second", "")
+                ),
+                "both nodes' sentences",
+            )
+            assert all(link.refused > 0 for link in links.values())
+            assert reports["second"].values["standing_by"] == TEAM.agents
+            assert undeclared("flight", reports["second"].values) == []
+            nodes["first"].close()
+            until(
+                lambda: told() is not None and {link.node for link in links.values()} == {"second"}, "the second node"
+            )
+            assert all(link.lapses for link in links.values())  # everyone hovered by itself in between
+            until(lambda: told() is not None and not any(link.setpoint().hover for link in links.values()), "decisions")
+        finally:
+            for node in nodes.values():
+                node.close()
+
+
+def test_the_simulator_command_flies_over_the_path(tmp_path: Path) -> None:
     """`eia-sec simulator` flies the episode that `eia-sec evaluate` would fly, and says how long decisions took."""
+    node = Node(tmp_path, TINY, "--lockstep", "--farm", "1001")
     command = ["simulator", "--config", str(node.config), "--run", RUN, "--connect", str(node.endpoint), "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--farm", "1001"],
@@ -151,6 +202,7 @@ def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
         text=True,
         check=False,
     )
+    node.close()
     assert done.returncode == 0, done.stderr + node.log.read_text()
     found = json.loads(done.stdout)
     wanted = evaluate(FARM, ActorPolicy(node.actors), [1001], 1, name="x").total
@@ -159,25 +211,29 @@ def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
     assert 0 < found["round_trip_ms"]["median"] <= found["round_trip_ms"]["most"]
 
 
-def test_the_node_publishes_its_latencies_and_ends_with_hover(node: Node) -> None:
+def test_the_node_publishes_its_latencies_and_ends_with_hover(tmp_path: Path) -> None:
     """It reports the declared metrics, including latencies; on SIGTERM it commands hover and exits with code 0."""
+    node = Node(tmp_path)
     reports: list[MetricMessage] = []
-    with node.bus() as bus:
-        metrics = bus.subscribe(keys.METRIC.key(RUN, role="flight", name="main"), 16)
-        link = VehicleLink(bus, RUN, TEAM.agent_names[0], TEAM.agent_names[0], FASTEST)
-        last: list[SetpointMessage] = []
+    try:
+        with node.bus() as bus:
+            metrics = bus.subscribe(keys.METRIC.key(RUN, role="flight", name="main"), 16)
+            links = links_of(bus)
+            link = links[TEAM.agent_names[0]]
 
-        def both_arrived() -> bool:
-            reports.extend(MetricMessage.decode(sample.payload) for sample in metrics.drain())
-            return bool(reports and link.setpoints())
+            def reported() -> bool:
+                tell(links)
+                reports.extend(MetricMessage.decode(sample.payload) for sample in metrics.drain())
+                return bool(reports and reports[-1].values["decisions"] > 0)
 
-        until(both_arrived, "metrics and set-points")
-        node.process.send_signal(signal.SIGTERM)
-        until(lambda: last.extend(link.setpoints()) or (last and "stopping" in last[-1].reason), "the last hover")
-        assert node.process.wait(SECONDS) == 0
+            until(reported, "metrics of decisions")
+            node.process.send_signal(signal.SIGTERM)
+            until(lambda: "stopping" in link.setpoint().reason, "the last hover")
+            assert node.process.wait(SECONDS) == 0
+            until(lambda: "validity is over" in link.setpoint().reason, "hover by the vehicle itself")
+    finally:
+        node.close()
     values = reports[-1].values
     assert undeclared("flight", values) == []
     assert {metric.name.split("/")[0] for metric in METRICS["flight"]} == set(values)
-    assert values["decisions"] > 0
     assert 0 < values["latency"]["median"] <= values["latency"]["most"]
-    assert last[-1].hover

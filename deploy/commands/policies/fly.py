@@ -1,4 +1,4 @@
-"""`eia-sec fly`: a node that turns vehicles' observations into velocity set-points with trained actors."""
+"""`eia-sec fly`: a node that keeps the farm's map from vehicles' poses, and sends set-points of a trained policy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,31 +10,42 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.farm import farm_team, require_farm
+from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
 from eia_sec.common.names import check_name
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.flight.deciders import ActorDecider, Decider, HeuristicDecider
+from eia_sec.deploy.flight.farm_map import FarmMap, team_vehicles
 from eia_sec.deploy.flight.node import FlightNode, NodeOptions
-from eia_sec.deploy.flight.pilot import Limits, Pilot
+from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
+from eia_sec.deploy.flight.poses import Field
+from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.options import parse
+from eia_sec.rollout.farm_files.projection import TangentPlane
+from eia_sec.rollout.heuristics.registry import heuristic
 from eia_sec.rollout.policies import fitted
 from eia_sec.rollout.shipped_policies import policy_path, preset_of
 
 
 @dataclass(frozen=True)
 class FlyArguments:
-    """Fly vehicles with trained actors: observations in, velocity set-points out (docs/how-to/vehicles.md)."""
+    """Fly vehicles with a trained policy: poses in, set-points out (docs/how-to/vehicles.md)."""
 
     policy: str | None = None
-    """Policy file, "trained" for the one that ships, or "trained:battery" for that of the preset battery, for instance.
-    Default: the policy of --run-dir."""
+    """Policy file, "trained" for the one that ships, "trained:battery" for that of the preset battery, or a heuristic,
+    "lawnmower" for instance. Default: the policy of --run-dir."""
     run_dir: Path | None = None
     """Run directory: its configuration, and its policy unless --policy names another."""
     config: Path | None = None
-    """TOML file with the farm that the policy was trained for; it determines speeds and the team."""
+    """TOML file with the farm; it determines the field, the sensors, speeds, the team and its counters."""
+    farm: int = 1000
+    """Seed of the farm: the sensors' places where the configuration has none."""
+    origin: str | None = None
+    """LATITUDE,LONGITUDE of the field's corner where x and y are 0, for vehicles that tell degrees; x leads east."""
     run: str = "farm"
     """Name of the run that vehicles and this node share."""
     connect: str | None = None
@@ -48,31 +59,37 @@ class FlyArguments:
     name: str = "main"
     """Name of this node."""
     vehicle: tuple[str, ...] = ()
-    """Vehicles to fly as NAME=AGENT, for example uav-7=monitoring_0. Default: every agent under its own name."""
+    """Names of vehicles as NAME=AGENT, for example uav-7=monitoring_0. Default: the agents' own names."""
+    only: tuple[str, ...] = ()
+    """Vehicles that this node flies; the others' poses count in its map. Default: all."""
     rate: float = 10.0
-    """Set-points per second for each vehicle."""
-    hold: int = 1
-    """Periods for which an observation stays valid; after that the vehicle gets a hover set-point."""
+    """Set-points per second for each vehicle; the policy decides once in each step of the farm."""
+    validity: float = 0.5
+    """Seconds for which a vehicle may follow a set-point; after that it hovers by itself."""
     max_age: float = 1.0
-    """Largest difference between an observation's time stamp and this machine's clock, seconds."""
+    """Oldest pose that is used, and largest difference between the vehicle's clock and this machine's, seconds."""
+    lockstep: bool = False
+    """Begin each step when all vehicles have flown the one before instead of by the clock; for `eia-sec simulator`."""
     patience: float = 10.0
     """Seconds to wait for a listener at the endpoint."""
     seconds: float | None = None
-    """Seconds until it stops. Default: fly until interrupted."""
+    """Seconds until it stops. Default: fly to the end of the farm's episode, or until interrupted."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Fly until interrupted or the time is up; return 0."""
+    """Fly until interrupted, or the episode or the time is over; return 0."""
     options = parse(FlyArguments, arguments, "fly")
     check_name(options.run, "run")
     check_name(options.name, "name")
+    within(0, 2**62, farm=options.farm)
     within(0.1, 1000.0, rate=options.rate)
-    within(1, 1000, hold=options.hold)
+    within(1.0 / options.rate, LONGEST_VALIDITY, validity=options.validity)
     positive(max_age=options.max_age)
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
-    pilot, agents = make_pilot(options)
+    start = new_incarnation()
+    pilot = make_pilot(options, start)
     endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT, options.tls)
     if endpoint.credentials is not None:
         endpoint.credentials.require("flight", options.name)
@@ -86,27 +103,60 @@ def command(arguments: Sequence[str]) -> int:
         else Bus.listen(endpoint, "control")
     ) as bus:
         listens = None if options.connect else endpoint
-        how = NodeOptions(options.run, options.name, options.rate, options.seconds, listens)
-        node = FlightNode(how, pilot, agents, bus)
-        log(f"flying {len(agents)} vehicles of run {options.run} at {options.rate:g} set-points a second.")
+        how = NodeOptions(options.run, options.name, start, options.rate, options.seconds, listens)
+        node = FlightNode(how, pilot, bus)
+        flown = sum(vehicle.flown for vehicle in pilot.vehicles.values())
+        log(f"flying {flown} vehicles of run {options.run} at {options.rate:g} set-points a second.")
         node.run(stop)
     return 0
 
 
-def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
-    """Return the pilot and the names of the vehicles that it flies.
+def make_pilot(options: FlyArguments, start: int) -> Pilot:
+    """Return the pilot of a node with this incarnation.
 
     Raises:
         UsageError: when policy, farm and vehicles do not fit together.
     """
     farm = farm_of(options.run_dir, options.config, preset_of(options.policy))
+    names = vehicles_of(options.vehicle)
+    require_agents(names, farm_team(farm).agent_names, "the farm's")
+    vehicles = team_vehicles(farm, {agent: vehicle for vehicle, agent in names.items()}, options.only)
+    known = [vehicle.name for vehicle in vehicles]
+    if len(set(known)) != len(known):
+        raise UsageError("two agents would have the same vehicle; name each one with --vehicle.")
+    if strangers := sorted(set(options.only) - set(known)):
+        raise UsageError(f"--only names {strangers[0]}, but the vehicles are {', '.join(known)}.")
+    decider = make_decider(options, farm)
+    limits = Field(farm, origin_of(options.origin), options.max_age)
+    how = PilotOptions(options.name, start, options.validity, options.lockstep)
+    return Pilot(decider, FarmMap(farm, options.farm), vehicles, limits, how)
+
+
+def make_decider(options: FlyArguments, farm: FarmConfig) -> Decider:
+    """Return what decides: the heuristic of a name, or the actors of a file.
+
+    Raises:
+        UsageError: there is none, or it is for another farm.
+    """
     name = options.policy or (str(options.run_dir / POLICY) if options.run_dir else None)
     if name is None:
         raise UsageError("nothing to fly: give --policy FILE, --policy trained or --run-dir DIR.")
-    actors = fitted(load_policy(policy_path(name))[0], farm_team(farm))
-    agents = vehicles_of(options.vehicle) or {agent: agent for agent in actors.team.agent_names}
-    speed = farm.world.speed_x_max, farm.world.speed_y_max
-    return Pilot(actors, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)
+    if (rule := heuristic(name, farm)) is not None:
+        return HeuristicDecider(rule)
+    return ActorDecider(fitted(load_policy(policy_path(name))[0], farm_team(farm)))
+
+
+def origin_of(text: str | None) -> TangentPlane | None:
+    """Return the plane at LATITUDE,LONGITUDE, if any; raise UsageError for anything else."""
+    if text is None:
+        return None
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError:
+        raise UsageError(f"--origin takes LATITUDE,LONGITUDE in degrees, not {text!r}.") from None
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        raise UsageError(f"--origin {text} is no latitude and longitude.")
+    return TangentPlane(longitude, latitude)
 
 
 def farm_of(run_dir: Path | None, config: Path | None, preset: str = "default") -> FarmConfig:

@@ -27,7 +27,7 @@ from eia_sec.deploy.options import parse
 
 @dataclass(frozen=True)
 class SimulatorArguments:
-    """Simulate vehicles for one episode: a farm's UAVs publish observations and obey a flight node's set-points."""
+    """Simulate vehicles for one episode: a farm's UAVs publish poses and obey a flight node's set-points."""
 
     run_dir: Path | None = None
     """Run directory whose farm to use."""
@@ -127,7 +127,7 @@ def _show(found: dict[str, Any], as_json: bool) -> None:
         return
     trip = found["round_trip_ms"]
     sys.stdout.write(
-        f"{found['steps']} steps, {found['reward']:.1f} reward per agent; set-points after {trip['median']} ms "
-        f"(median), {trip['p99']} ms (99 of 100); {found['hovers']} hovers, {found['resent']} observations resent, "
+        f"{found['steps']} steps, {found['reward']:.1f} reward per agent; decisions after {trip['median']} ms "
+        f"(median), {trip['p99']} ms (99 of 100); {found['hovers']} hovers, {found['resent']} poses resent, "
         f"{found['refused']} set-points refused.\n"
     )

@@ -43,6 +43,13 @@ NOT_FINITE: Final = 1
 """An action is not finite."""
 OUT_OF_TIME: Final = 2
 """An environment's episode has not begun, or is over."""
+STEP: Final = 0
+"""Simulate a step."""
+BEGIN: Final = 1
+"""Begin an episode at the positions and levels in the state; nobody fails, flies or uses charge."""
+FOLLOW: Final = 2
+"""Take a step over that real UAVs have flown: positions, motions, charges and levels after it are in the state, and
+positions before it in the scratch."""
 LARGEST: Final = np.finfo(np.float32).max
 
 
@@ -52,9 +59,7 @@ _farm: Final = row_maker(Farm)
 
 @inlined
 def _start(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Count up the levels in the state, which begin an episode."""
-    tally_plots(farm.level, farm.level_below, farm.level_above)
-    tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
+    """Prepare what an episode needs that begins with this state."""
     if c.plans.steps > 0:
         list_points(c.fleet, c.plans, c.added, farm.sensor, farm.plan_first, farm.plan_point, farm.plan_chance)
     if c.ways.some:
@@ -69,23 +74,26 @@ def _start(c: Constants, farm: Farm, s: Scratch) -> None:
 
 
 @allocation_free
-def _move(address: int, e: int, fresh: bool) -> None:
-    """Fail, fly, use charge and assign relays; in a fresh episode nobody fails, flies or uses charge."""
+def _move(address: int, e: int, how: int) -> None:
+    """Fail, fly, use charge and assign relays; what does not simulate a step counts the levels in the state up."""
     c, state, s, action = unpack(address)
     farm = _farm(state, e)
-    lost = False
-    if fresh:
+    if how != STEP:
+        tally_plots(farm.level, farm.level_below, farm.level_above)
+        tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
+    anew = how != STEP
+    if how == BEGIN:
         _start(c, farm, s)
-    else:
-        if c.fleet.mortal:
-            lost = lose_uavs(c, farm)
+    elif c.fleet.mortal:
+        anew |= lose_uavs(c, farm)
+    if how == STEP:
         fly(c, farm, s, action[e])
         if c.battery.some:
             use_charge(c, farm, s)
     if c.fleet.mortal:
         show_places(farm)
     find_nearest(c, farm, s)
-    assign_relays(c, farm, s, fresh or lost)
+    assign_relays(c, farm, s, anew)
     measure_service(c, farm, s)
 
 
@@ -158,7 +166,7 @@ def check_step(address: int) -> int:
 
 
 @allocation_free_entry
-def step_range(address: int, first: int, last: int, check: bool, fresh: bool) -> int:
+def step_range(address: int, first: int, last: int, check: bool, how: int) -> int:
     """Step environments `first` to `last` - 1 independently with the workspace's actions.
 
     Args:
@@ -166,7 +174,7 @@ def step_range(address: int, first: int, last: int, check: bool, fresh: bool) ->
         first: first environment.
         last: one past the last.
         check: whether to run `check_step` first and step nothing if it finds a problem.
-        fresh: whether to start their episodes instead, at the positions and levels in their states.
+        how: STEP, BEGIN or FOLLOW.
 
     Returns:
         NOT_FINITE, OUT_OF_TIME or POSSIBLE.
@@ -177,19 +185,9 @@ def step_range(address: int, first: int, last: int, check: bool, fresh: bool) ->
         if objection != POSSIBLE:
             return objection
     for e in range(first, last):
-        state.time[e, 0] += 0 if fresh else 1
-        _move(address, e, fresh)
-        if not fresh:
+        state.time[e, 0] += 0 if how == BEGIN else 1
+        _move(address, e, how)
+        if how == STEP:
             _serve(address, e)
         _observe(address, e)
     return POSSIBLE
-
-
-def begin_episode(address: int, e: int) -> None:
-    """Start the episode of environment e at the positions and levels in its state.
-
-    Args:
-        address: address of a workspace.
-        e: the environment.
-    """
-    step_range(address, e, e + 1, False, True)

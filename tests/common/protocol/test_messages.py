@@ -16,8 +16,8 @@ from eia_sec.common.protocol.messages import (
     EvaluationResult,
     ImitationMessage,
     MetricMessage,
-    ObservationMessage,
     ParametersMessage,
+    PoseMessage,
     ProgressMessage,
     SetpointMessage,
     ViewMessage,
@@ -54,8 +54,16 @@ EXAMPLES = [
         state=np.full((1, 2, 8), 0.5, np.float32),
     ),
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
-    ObservationMessage("monitoring_1", 1_700_000_000_000_000, np.linspace(-1, 1, 16, dtype=np.float32)),
-    SetpointMessage("monitoring_1", (1.25, -10.0), False, "", 7, 1_700_000_000_000_000, 9, 0.0004),
+    PoseMessage(
+        *("monitoring_1", 1_700_000_000_000_000, (12.5, 300.0), False, 20.0, (1.0, -2.0), (0.5, 0.0), (), 1e5, ()),
+        *(False, 7, "main", 3, ""),
+        served=np.arange(3, dtype=np.int32),
+        served_stamp=np.arange(3, dtype=np.int64),
+    ),
+    SetpointMessage(
+        *("monitoring_1", (1.25, -10.0), (13.75, 290.0), 20.0, 0.0, (0.125, -1.0)),
+        *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004),
+    ),
     WatchRequest("somebody", True),
     WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
     ViewMessage(

@@ -1,265 +1,438 @@
-"""The pilot: what it refuses, when it commands hover, and that its numbers are those of the actors."""
+"""The pilot: which poses it refuses, when it commands hover and why, and what its set-points hold."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
-from eia_sec.common.actions.adapters import SIGNS
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import ControlConfig, FarmConfig, ObservationConfig
+from eia_sec.common.config import ControlConfig, DynamicsConfig, FarmConfig, ObservationConfig
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.protocol import frame
-from eia_sec.common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from eia_sec.common.protocol.metrics import undeclared
-from eia_sec.deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
+from eia_sec.common.protocol.messages import PoseMessage
+from eia_sec.common.protocol.metrics import METRICS, undeclared
+from eia_sec.deploy.flight.border import inside_border
+from eia_sec.deploy.flight.pilot import CAUSES, ROWS, require_agents
+from eia_sec.rollout.farm_files.projection import TangentPlane
+from tests.deploy.flight.air import NOW, Clock, agents, envelope, make_pilot
 
-TEAM = farm_team(preset("study").farm)
-ACTORS = TeamActors.initial(TEAM, 16, 7, per_type=False)
-NOW = 1_700_000_000.0
-SPEED = (10.0, 8.3)
-UAV, AGENT, SIZE = "uav-7", "collection_1", TEAM.groups[2].observation_size
-
-
-def make(**limits) -> Pilot:
-    return Pilot(ACTORS, {UAV: AGENT, "other": "monitoring_0"}, SPEED, Limits(**limits))
+WORLD = dataclasses.replace(preset("study").farm.world, communication_uavs=1, monitoring_uavs=2, collection_uavs=2)
+FARM = dataclasses.replace(preset("study").farm, world=WORLD)
+UAV, OTHER = "monitoring_0", "collection_1"
+NONE_32, NONE_64 = np.zeros(0, np.int32), np.zeros(0, np.int64)
 
 
-def seen(seed: int = 0, size: int = SIZE) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, size).astype(np.float32)
+class Constant:
+    """Decides the same velocity for every agent, and counts its decisions."""
+
+    def __init__(self, share=(0.5, -0.25), agent_count=5):
+        self.shares, self.decided = np.tile(np.float32(share), (agent_count, 1)), 0
+
+    def begin(self, farm):
+        """Nothing to prepare."""
+
+    def decide(self, farm):
+        """Return the velocity."""
+        self.decided += 1
+        return self.shares
 
 
-def offer(pilot: Pilot, sequence: int, *, now: float = NOW, start: int = 1, values=None, **changes) -> bool:
-    message = ObservationMessage(AGENT, int(NOW * 1e6), seen(sequence) if values is None else values)
-    envelope = Envelope("vehicle", UAV, start, sequence)
-    return pilot.offer(UAV, dataclasses.replace(message, **changes).encode(), envelope.encode(), now)
+def pose(agent, now=NOW, place=(200.0, 150.0), **changes) -> PoseMessage:
+    """Return a pose in the field."""
+    whole = PoseMessage(
+        agent, int(now * 1e6), place, False, 20.0, (0.0, 0.0), (), (), None, (), False, 0, "", 0, "", NONE_32, NONE_64
+    )
+    return dataclasses.replace(whole, **changes)
 
 
-def test_set_points_are_the_actors_actions_in_metres_per_second():
-    """A decision is what the whole team's actors would do, times the largest speed, and gives back the very action."""
-    pilot = make()
-    rng = np.random.default_rng(3)
-    place = TEAM.observation_slices()[2].start + SIZE
-    for sequence in range(1, 30):
-        row = rng.uniform(-1, 1, (1, TEAM.observation_size)).astype(np.float32)
-        assert offer(pilot, sequence, values=row[0, place : place + SIZE])
-        found = pilot.decide(NOW)[UAV]
-        wanted = ACTORS.act(row)[0].reshape(-1, 2)[TEAM.agent_names.index(AGENT)]
-        assert (np.array(found.velocity) / SPEED).astype(np.float32).tobytes() == wanted.tobytes()
-        assert (found.hover, found.answers, found.stamp, found.period) == (False, sequence, int(NOW * 1e6), sequence)
-        assert found.latency > 0
+class Team:
+    """A pilot, and vehicles that tell where they are."""
+
+    def __init__(self, config=FARM, decider=None, **options):
+        self.clock, self.sequence = Clock(0.0), 0
+        self.decider = decider or Constant()
+        self.pilot = make_pilot(config, self.decider, clock=self.clock, **options)
+
+    @property
+    def now(self):
+        """Seconds since 1970."""
+        return NOW + self.clock.now
+
+    def tell(self, *but, **changes):
+        """Let every vehicle but some tell its pose; return whether all are used."""
+        self.sequence += 1
+        return all(
+            [
+                self.offer(name, vehicle.agent, **changes)
+                for name, vehicle in self.pilot.vehicles.items()
+                if name not in but
+            ]
+        )
+
+    def offer(self, name, agent=None, sequence=None, start=1, late=0.0, **changes):
+        """Let one vehicle tell its pose."""
+        message = pose(agent or name, self.now - late, **changes)
+        return self.pilot.offer(name, message.encode(), envelope(name, sequence or self.sequence, start), self.now)
+
+    def period(self, seconds=0.1):
+        """Let time pass and return the set-points of a period."""
+        self.clock.now += seconds
+        return self.pilot.decide(self.now)
 
 
-@pytest.mark.parametrize("bad", [0.0, 0.5, -4.0])
-def test_a_mirrored_agents_signs_are_1_or_minus_1(bad):
-    """Others are refused, and the set-point of what is accepted points along the field's axes."""
-    team = farm_team(preset("eia-sec").farm)
-    actors = TeamActors.initial(team, 16, 7, per_type=False)
-    pilot = Pilot(actors, {UAV: AGENT}, SPEED, Limits())
-    size = team.groups[2].observation_size
-    values, row = seen(1, size), np.zeros((1, team.observation_size), np.float32)
-    values[SIGNS] = 1.0, bad
-    assert not offer(pilot, 1, values=values)
-    assert "signs" in pilot.decide(NOW)[UAV].reason
-    values[SIGNS] = 1.0, -1.0
-    assert offer(pilot, 2, values=values)
-    place = team.observation_slices()[2].start + size
-    row[0, place : place + size] = values
-    across, along = actors.act(row)[0].reshape(-1, 2)[team.agent_names.index(AGENT)]
-    np.testing.assert_allclose(pilot.decide(NOW)[UAV].velocity, (across * SPEED[0], -along * SPEED[1]), rtol=1e-6)
+def test_a_set_point_holds_the_decision_and_what_follows_from_it():
+    """Velocity, target, height, number and validity; all of a step's periods repeat one decision."""
+    team = Team(validity=0.4)
+    team.tell()
+    found = [team.period()[UAV]]
+    for _ in range(25):
+        team.tell()
+        found.append(team.period()[UAV])
+    first = found[0]
+    assert first.velocity == (0.5 * WORLD.speed_x_max, -0.25 * WORLD.speed_y_max)
+    assert first.target == (200.0 + first.velocity[0], 150.0 + first.velocity[1])
+    assert (first.height, first.validity, first.hover, first.reason) == (WORLD.height_monitoring, 0.4, False, "")
+    assert first.action == (0.5, -0.25)
+    assert [message.period for message in found] == list(range(1, 27))
+    numbers = [message.decision for message in found]
+    assert numbers[0] == 1
+    assert sorted(set(numbers)) == [1, 2, 3]
+    assert team.decider.decided == 3
+    assert numbers == sorted(numbers)
+    assert 9 <= numbers.count(2) <= 11
 
 
-@pytest.mark.parametrize("hold", [1, 3])
-def test_hover_follows_in_the_period_after_the_last_that_an_observation_serves(hold):
-    """When observations stop, hover is commanded `hold` periods after the last one came: with 1, in the very next."""
-    pilot = make(hold=hold)
-    for sequence in range(1, 6):
-        offer(pilot, sequence)
-        assert not pilot.decide(NOW)[UAV].hover
-    last = pilot.period
-    courses = [pilot.decide(NOW)[UAV] for _ in range(hold + 2)]
-    assert [message.period - last for message in courses if message.hover] == list(range(hold, hold + 3))
-    assert all(message.velocity == (0.0, 0.0) for message in courses if message.hover)
-    assert courses[hold - 1].reason == f"no observation for {hold} period{'s' if hold > 1 else ''}"
-    offer(pilot, 6)
-    assert not pilot.decide(NOW)[UAV].hover
+def test_the_flight_begins_when_every_vehicle_has_told_where_it_is():
+    """Until then all hover, and the reason names who is missing."""
+    team = Team()
+    team.tell(OTHER)
+    found = team.period()
+    assert all(message.hover for message in found.values())
+    assert found[OTHER].reason == "no pose has come yet"
+    assert found[UAV].reason == f"the flight begins with the first pose of {OTHER}"
+    assert (team.pilot.map.begun, team.decider.decided) == (False, 0)
+    team.tell()
+    assert not any(message.hover for message in team.period().values())
 
 
-def test_a_vehicle_that_never_observed_hovers_while_another_flies():
-    """Each vehicle is judged alone."""
-    pilot = make()
-    offer(pilot, 1)
-    found = pilot.decide(NOW)
-    assert (found[UAV].hover, found["other"].hover) == (False, True)
-    assert found["other"].reason == "no observation has come yet"
+def test_steps_that_were_slept_through_are_taken_over():
+    """Counters follow from the clock, so after a pause the map is where it would be."""
+    team = Team()
+    team.tell()
+    team.period()
+    team.clock.now += 7.0
+    team.sequence += 1
+    stamp = int((team.now - 0.5) * 1e6)
+    assert team.offer(UAV, served=np.array([3], np.int32), served_stamp=np.array([stamp]))
+    team.tell(UAV)
+    team.period()
+    assert team.pilot.map.steps == 7
+    assert team.decider.decided == 2
+    assert team.pilot.map.farm.plots.visited(3) == 7
+
+
+def test_reports_set_counters_to_0_in_the_step_in_which_they_were_served():
+    """A report that comes steps later counts in the step of its time stamp; repeated ones count once."""
+    quick = dataclasses.replace(FARM, world=dataclasses.replace(WORLD, vdf_cycle=3, sensor_cycles=(3,)))
+    team = Team(quick)
+    team.tell()
+    team.period(0.0)
+    for _ in range(10):
+        team.tell()
+        team.period(1.0)
+    farm = team.pilot.map.farm
+    assert farm.vdf[0, 0, 0] == farm.vdf[0, 2, 5] == 3.0
+    stamp = int((NOW + 4.5) * 1e6)  # in the fifth step, so VDF has risen in steps 6 and 9 since
+    report = {"served": np.array([2 * WORLD.plots_y + 5], np.int32), "served_stamp": np.array([stamp])}
+    for _ in range(2):
+        team.sequence += 1
+        assert team.offer(UAV, **report)
+        team.tell(UAV)
+        team.period(0.5)
+    assert (farm.vdf[0, 0, 0], farm.vdf[0, 2, 5]) == (3.0, 2.0)
+    assert team.pilot.map.served == 1
+
+
+def test_a_vehicle_whose_poses_stop_hovers_and_flies_again():
+    """The others go on; the reason says for how long there was none."""
+    team = Team(age=1.0)
+    team.tell()
+    team.period(0.0)
+    for _ in range(10):
+        team.tell(UAV)
+        found = team.period()
+    assert not found[UAV].hover
+    team.tell(UAV)
+    found = team.period()
+    assert found[UAV].hover
+    assert found[UAV].reason == "no pose for 1.1 s"
+    assert found[UAV].target == (200.0, 150.0)
+    assert not found[OTHER].hover
+    assert team.pilot.report()["causes"]["late"] == 1
+    team.tell()
+    assert not team.period()[UAV].hover
+
+
+def test_a_pose_from_another_field_is_not_flown_on():
+    """Far outside the vehicle hovers; a little outside, as after an overshoot, it flies back."""
+    team = Team()
+    team.tell(place=(2.0, 150.0))
+    team.period(0.0)
+    team.sequence += 1
+    assert team.offer(UAV, place=(-3.0, 150.0))
+    team.tell(UAV)
+    assert not team.period(0.1)[UAV].hover
+    team = Team()
+    team.tell(UAV)
+    team.offer(UAV, place=(4000.0, 150.0))
+    found = team.period()
+    assert found[UAV].reason == "it is 3600 m outside the field; is it another one's?"
+    assert not team.pilot.map.begun
+    assert team.pilot.report()["causes"]["field"] == 1
+
+
+def test_a_pose_that_jumps_is_not_flown_on_until_it_settles():
+    """What no vehicle flies in that time is a jump: counted, named, and over after a second without another."""
+    team = Team()
+    team.tell()
+    team.period(0.0)
+    found = []
+    for number in range(14):
+        team.sequence += 1
+        team.offer(UAV, place=(200.0 if number else 300.0, 150.0))
+        team.tell(UAV)
+        found.append(team.period())
+    hovers = [messages[UAV].hover for messages in found]
+    assert hovers == [True] * 12 + [False] * 2 or hovers == [True] * 11 + [False] * 3
+    assert found[0][UAV].reason == "its pose jumped by 100 m"
+    assert found[0][UAV].target == (200.0, 150.0)
+    assert not any(messages[OTHER].hover for messages in found)
+    assert team.pilot.report()["jumps"] == 2
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"values": seen(size=SIZE - 1)}, "shape"),
-        ({"values": np.full(SIZE, np.nan, np.float32)}, "not finite"),
-        ({"values": np.full(SIZE, np.inf, np.float32)}, "not finite"),
-        ({"values": np.full(SIZE, 2 * LARGEST, np.float32)}, "is it scaled"),
-        ({"agent": "collection_0"}, "for agent 'collection_0'"),
-        ({"stamp": int((NOW - 1.5) * 1e6)}, "1.5 s old"),
-        ({"stamp": int((NOW + 1.5) * 1e6)}, "1.5 s ahead"),
+        ({"place": (1.0, 2.0, 3.0)}, "two numbers"),
+        ({"velocity": (1e6, 0.0)}, "exceeds 1000"),
+        ({"agent": "collection_0"}, "of agent 'collection_0'"),
+        ({"late": 1.5}, "1.5 s old"),
+        ({"late": -1.5}, "1.5 s ahead"),
+        ({"geodetic": True, "place": (51.0, 7.0)}, "--origin"),
+        ({"served": np.array([400], np.int32), "served_stamp": np.array([1])}, "beyond the 400"),
+        ({"served": np.array([-1], np.int32), "served_stamp": np.array([1])}, "beyond the 400"),
+        ({"served": np.array([1], np.int32), "served_stamp": np.array([2**60])}, "after the pose's own"),
+        ({"served": np.array([1], np.int32)}, "one list"),
         ({"sequence": 3}, "not newer"),
         ({"sequence": 9, "start": 0}, "not newer"),
     ],
 )
-def test_what_cannot_be_used_is_refused_and_the_vehicle_hovers(changes, reason):
-    """Wrong shape, agent, numbers, time or order: counted, named, and hover in the same period."""
-    pilot = make()
-    assert offer(pilot, 3)
-    assert not pilot.decide(NOW)[UAV].hover
-    assert not offer(pilot, **{"sequence": 4, **changes})
-    found = pilot.decide(NOW)[UAV]
+def test_what_cannot_be_used_is_refused(changes, reason):
+    """Wrong numbers, agent, time, order or report: counted, and the reason is told when the poses before grow old."""
+    team = Team(age=1.0)
+    team.sequence = 2
+    team.tell()
+    assert not team.period(0.0)[UAV].hover
+    team.sequence = 4
+    assert not team.offer(UAV, **changes)
+    team.tell(UAV)
+    assert not team.period(0.5)[UAV].hover
+    team.sequence += 1
+    team.tell(UAV)
+    assert not team.offer(UAV, **changes)
+    found = team.period(0.6)[UAV]
     assert found.hover
     assert reason in found.reason
-    assert pilot.report()["refused"] == 1
-    assert offer(pilot, 5)
-    assert not pilot.decide(NOW)[UAV].hover
+    assert team.pilot.report()["refused"] == 2
+    assert team.offer(UAV, sequence=50)
+    assert not team.period(0.0)[UAV].hover
+
+
+def test_latitude_and_longitude_are_places_in_the_field():
+    """With the corner's origin, degrees are metres east and north of it."""
+    origin = TangentPlane(7.0, 51.0)
+    team = Team(origin=origin)
+    longitude, latitude = origin.to_degrees(np.array([[120.0, 80.0]]))[0].tolist()
+    team.tell(geodetic=True, place=(latitude, longitude))
+    team.period()
+    np.testing.assert_allclose(team.pilot.map.farm.position[0], [[120.0, 80.0]] * 5, atol=1e-6)
+    team.sequence += 1
+    assert not team.offer(UAV, geodetic=True, place=(151.0, 7.0))
 
 
 def test_a_start_number_from_the_future_shuts_no_vehicle_out():
     """A vehicle whose clock was ahead when it started before, or whose number was forged, flies again after `age`."""
-    pilot = make(age=1.0)
-    assert offer(pilot, 7, start=2**63 - 1)
-    assert not offer(pilot, 1, start=5)
-    later = NOW + 1.5
-    assert offer(pilot, 2, start=5, now=later, stamp=int(later * 1e6))
-    assert not pilot.decide(later)[UAV].hover
-    assert not offer(pilot, 1, start=5, now=later, stamp=int(later * 1e6))
+    team = Team(age=1.0)
+    assert team.offer(UAV, sequence=7, start=2**63 - 1)
+    assert not team.offer(UAV, sequence=1, start=5)
+    team.clock.now += 1.5
+    assert team.offer(UAV, sequence=2, start=5)
+    assert not team.offer(UAV, sequence=1, start=5)
 
 
-def test_bytes_that_are_no_observation_are_refused():
+def test_bytes_that_are_no_pose_are_refused():
     """Junk, another kind of message, and an envelope of somebody else never raise, and never fly."""
-    pilot = make()
-    whole = ObservationMessage(AGENT, int(NOW * 1e6), seen()).encode()
-    mine, foreign = Envelope("vehicle", UAV, 1, 1), Envelope("vehicle", "other", 1, 1)
+    team = Team()
+    whole, mine = pose(UAV).encode(), envelope(UAV, 1)
     for payload, attachment in (
         (b"", b""),
-        (b"junk", mine.encode()),
+        (b"junk", mine),
         (whole, b"junk"),
-        (whole, foreign.encode()),
-        (whole, Envelope("rollout", UAV, 1, 1).encode()),
-        (mine.encode(), mine.encode()),
-        (frame.encode(ObservationMessage.KIND, {"agent": AGENT, "stamp": 1}, {}), mine.encode()),
+        (whole, envelope(OTHER, 1)),
+        (mine, mine),
+        (frame.encode(PoseMessage.KIND, {"agent": UAV, "stamp": 1}, {}), mine),
     ):
-        assert not pilot.offer(UAV, payload, attachment, NOW)
-    assert pilot.decide(NOW)[UAV].hover
-    assert pilot.report()["refused"] == 7
-
-
-def test_an_observation_that_grows_old_while_it_is_held_is_not_flown_on():
-    """With a long hold, the stamp's age at the moment of the decision still counts."""
-    pilot = make(hold=100, age=1.0)
-    offer(pilot, 1)
-    assert not pilot.decide(NOW + 0.9)[UAV].hover
-    late = pilot.decide(NOW + 1.1)[UAV]
-    assert late.hover
-    assert "too old: it is 1.1 s old" in late.reason
+        assert not team.pilot.offer(UAV, payload, attachment, NOW)
+    assert team.period()[UAV].hover
+    assert team.pilot.report()["refused"] == 6
 
 
 def test_a_restarted_vehicle_begins_its_numbers_anew():
     """A higher incarnation is newer whatever its sequence number; gaps inside one are counted."""
-    pilot = make()
-    offer(pilot, 1)
-    offer(pilot, 5)
-    assert pilot.report()["missed"] == 3
-    assert offer(pilot, 1, start=2)
-    assert not pilot.decide(NOW)[UAV].hover
-    assert pilot.report()["missed"] == 3
+    team = Team()
+    assert team.offer(UAV, sequence=1)
+    assert team.offer(UAV, sequence=5)
+    assert team.pilot.report()["missed"] == 3
+    assert team.offer(UAV, sequence=1, start=2)
+    assert team.pilot.report()["missed"] == 3
 
 
-def test_an_output_that_is_not_finite_is_never_flown():
-    """Actors whose arithmetic overflows command hover."""
-    broken = ACTORS.copy()
-    for flat in broken.flat:
-        flat[:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), flat.shape)
-    pilot = Pilot(broken, {UAV: AGENT}, SPEED, Limits())
-    offer(pilot, 1)
+@pytest.mark.parametrize("discrete", [False, True])
+def test_an_output_that_is_not_finite_is_never_flown(discrete):
+    """Actors whose arithmetic overflows command hover, where the largest logit would be an option, too."""
+    control = ControlConfig(communication="headings", monitoring="moves", collection="moves")
+    seen = ObservationConfig(mirrored=False)
+    farm = FarmConfig(world=WORLD, control=control, observation=seen) if discrete else FARM
+    broken = TeamActors.initial(farm_team(farm), 16, 7)
+    broken.flat[2][:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), broken.flat[2].shape)
+    team = Team(farm, broken)
+    team.tell()
     with np.errstate(all="ignore"):
-        found = pilot.decide(NOW)[UAV]
-    assert (found.hover, found.velocity) == (True, (0.0, 0.0))
-    assert "not finite" in found.reason
+        found = team.period()
+    assert (found[OTHER].hover, found[OTHER].velocity) == (True, (0.0, 0.0))
+    assert found[OTHER].reason == "the policy's output is not finite"
+    assert not found[UAV].hover
 
 
-def test_agents_must_exist_and_fly_one_vehicle_each():
-    """An unknown agent, and one agent for two vehicles, are refused at the start."""
-    with pytest.raises(ConfigError, match="no agent 'collection_9'"):
-        Pilot(ACTORS, {"a": "collection_9"}, SPEED, Limits())
-    with pytest.raises(ConfigError, match="same agent"):
-        Pilot(ACTORS, {"a": AGENT, "b": AGENT}, SPEED, Limits())
+def test_what_is_not_finite_is_not_remembered():
+    """An agent with memory whose output overflowed once decides again from what it remembered before."""
+    actors = TeamActors.initial(farm_team(FARM), 16, 7, per_type=False, memory="gru")
+    spoilt, healthy = Team(decider=actors.copy()), Team(decider=actors.copy())
+    for team in (spoilt, healthy):
+        team.tell()
+        team.period(0.0)
+    before = spoilt.pilot._decider._state.copy()
+    parameters = spoilt.pilot._decider._actors.flat[0]
+    kept = parameters.copy()
+    parameters[:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), parameters.shape)
+    spoilt.tell()
+    with np.errstate(all="ignore"):
+        assert spoilt.period(1.0)["communication_0"].hover
+    np.testing.assert_array_equal(spoilt.pilot._decider._state[0, 0], before[0, 0])
+    assert np.isfinite(spoilt.pilot._decider._state).all()
+    parameters[:] = kept
+    spoilt.tell()
+    assert not spoilt.period(1.0)["communication_0"].hover
+
+
+def test_a_flight_is_over_with_the_farms_episode():
+    """After the last step every vehicle hovers."""
+    short = dataclasses.replace(FARM, world=dataclasses.replace(WORLD, steps=3))
+    team = Team(short)
+    for _ in range(5):
+        team.tell()
+        found = team.period(1.0)
+    assert team.pilot.over
+    assert {message.reason for message in found.values()} == {"the flight's 3 steps are over"}
+
+
+def test_another_node_is_told_of():
+    """Who obeys another flight node, or another start of this one, and who else claims them."""
+    team = Team(name="main", start=7)
+    team.tell(node="spare", node_start=5)
+    team.period()
+    assert "communication_0, collection_0" not in str(team.pilot.report()["alarms"])
+    assert "obey the flight node spare; this one stands by." in team.pilot.report()["alarms"][0]
+    assert team.pilot.report()["standing_by"] == 5
+    team.tell(node="main", node_start=7, rival="spare")
+    team.period()
+    assert "obey this node; the flight node spare claims them." in team.pilot.report()["alarms"][0]
+    assert team.pilot.report()["standing_by"] == 0
+    team.tell(node="main", node_start=8)
+    team.period()
+    assert "obey the flight node main of another start" in team.pilot.report()["alarms"][0]
+
+
+def test_a_node_flies_only_its_own():
+    """The poses of others count in its map."""
+    team = Team(only=(UAV,))
+    team.tell(OTHER)
+    assert team.period()[UAV].hover
+    team.tell()
+    assert list(team.period()) == [UAV]
+
+
+def test_vehicles_must_tell_what_the_farm_needs():
+    """With batteries they tell their charge, in wind the wind."""
+    base = preset("battery").farm
+    small = dataclasses.replace(base.world, communication_uavs=1, monitoring_uavs=2, collection_uavs=2)
+    farm = dataclasses.replace(base, world=small)
+    team = Team(farm)
+    team.tell()
+    assert team.period()[UAV].reason == "it does not tell its battery's charge"
+    team.tell(charge=1e5)
+    assert not team.period()[UAV].hover
 
 
 def test_the_report_is_bounded_declared_and_names_who_hovers():
     """Its metrics are those of `common.protocol.metrics`, at most ROWS vehicles one by one, hovering ones first."""
-    farm = preset("study").farm
-    wide = dataclasses.replace(farm.world, communication_uavs=20, monitoring_uavs=20, collection_uavs=20)
-    team = farm_team(dataclasses.replace(farm, world=wide))
-    actors = TeamActors.initial(team, 4, 0)
-    pilot = Pilot(actors, {name: name for name in team.agent_names}, SPEED, Limits())
-    for index in range(2, 60):
-        name = team.agent_names[index]
-        size = next(group.observation_size for group in team.groups if name.startswith(group.name))
-        message = ObservationMessage(name, int(NOW * 1e6), seen(size=size))
-        assert pilot.offer(name, message.encode(), Envelope("vehicle", name, 1, 1).encode(), NOW)
-    found = pilot.decide(NOW)
-    report = pilot.report()
+    wide = dataclasses.replace(WORLD, communication_uavs=20, monitoring_uavs=20, collection_uavs=20)
+    farm = dataclasses.replace(FARM, world=wide)
+    team = Team(farm, Constant(agent_count=60))
+    team.tell(*agents(farm)[:2])
+    team.period()
+    report = team.pilot.report()
     assert undeclared("flight", report) == []
+    assert set(report["causes"]) == set(CAUSES)
+    declared = next(metric for metric in METRICS["flight"] if metric.name == "causes/*")
+    assert all(cause in declared.meaning for cause in CAUSES)
     assert len(report["vehicles"]) == ROWS
-    assert list(report["vehicles"])[:2] == ["communication_0", "communication_1"]
-    assert report["alarms"] == ["communication_0, communication_1 hover: no observation has come yet."]
-    assert (report["decisions"], report["hovers"]) == (58, 2)
+    assert report["alarms"][1] == "communication_0, communication_1 hover: no pose has come yet."
+    team.tell()
+    team.period()
+    report = team.pilot.report()
+    assert (report["decisions"], report["hovers"], report["alarms"]) == (60, 60, [])
     assert report["latency"]["median"] <= report["latency"]["p99"] <= report["latency"]["most"]
-    assert all(isinstance(message, SetpointMessage) for message in found.values())
-    ended = pilot.hover("the flight node ends")
+    ended = team.pilot.hover("the flight node ends")
     assert all(message.hover for message in ended.values())
-    assert pilot.report()["alarms"] == ["communication_0, communication_1 and 58 others hover: the flight node ends."]
+    assert team.pilot.report()["alarms"] == [
+        "communication_0, communication_1 and 58 others hover: the flight node ends."
+    ]
 
 
-CHOICES = ControlConfig(communication="headings", monitoring="moves", collection="moves")
-"""Discrete control of every type."""
+def test_agents_must_exist_and_fly_one_vehicle_each():
+    """An unknown agent, and one agent for two vehicles, are refused at the start."""
+    known = agents(FARM)
+    with pytest.raises(ConfigError, match="no agent 'collection_9'"):
+        require_agents({"a": "collection_9"}, known, "the farm's")
+    with pytest.raises(ConfigError, match="same agent"):
+        require_agents({"a": UAV, "b": UAV}, known, "the farm's")
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("shared", [False, True])
-def test_choices_become_set_points(mirrored, shared):
-    """Moves and headings fly as velocities, with one row of parameters too, bit-equal to the actors' own."""
-    team = farm_team(FarmConfig(control=CHOICES, observation=ObservationConfig(mirrored=mirrored)))
-    actors = TeamActors.initial(team, 16, 7, per_type=False, shared=shared)
-    pilot = Pilot(actors, {name: name for name in team.agent_names}, SPEED, Limits())
-    draw, found = np.random.default_rng(3), []
-    for sequence in range(1, 20):
-        row = draw.uniform(-1, 1, (1, team.observation_size)).astype(np.float32)
-        for own in team.split_observations(row):
-            own[..., SIGNS] = draw.choice([-1.0, 1.0], own[..., SIGNS].shape)
-        each = [agent for part in team.split_observations(row) for agent in part[0]]
-        for name, values in zip(team.agent_names, each, strict=True):
-            message = ObservationMessage(name, int(NOW * 1e6), np.ascontiguousarray(values))
-            assert pilot.offer(name, message.encode(), Envelope("vehicle", name, 1, sequence).encode(), NOW)
-        flown = np.array([message.velocity for message in pilot.decide(NOW).values()])
-        wanted = actors.environment_actions(row)[0].reshape(-1, 2)
-        np.testing.assert_array_equal((flown / SPEED).astype(np.float32), wanted)
-        found.append(flown)
-    assert len(np.unique(np.concatenate(found).round(3), axis=0)) > 5
-
-
-def test_logits_that_are_not_finite_are_never_flown():
-    """The largest of them would be an option like any other."""
-    team = farm_team(FarmConfig(control=CHOICES, observation=ObservationConfig(mirrored=False)))
-    broken = TeamActors.initial(team, 16, 7)
-    broken.flat[2][:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), broken.flat[2].shape)
-    pilot = Pilot(broken, {UAV: AGENT, "other": "monitoring_0"}, SPEED, Limits())
-    size = {group.name: group.observation_size for group in team.groups}
-    other = ObservationMessage("monitoring_0", int(NOW * 1e6), seen(size=size["monitoring"]))
-    assert offer(pilot, 1, values=seen(size=size["collection"]))
-    assert pilot.offer("other", other.encode(), Envelope("vehicle", "other", 1, 1).encode(), NOW)
-    with np.errstate(all="ignore"):
-        found = pilot.decide(NOW)
-    assert "not finite" in found[UAV].reason
-    assert (found[UAV].hover, found["other"].hover) == (True, False)
+@pytest.mark.parametrize("inertial", [False, True])
+def test_the_border_limits_velocities_so_that_a_vehicle_stops_before_it(inertial):
+    """However a vehicle heads for it, it is inside at the end, with its acceleration's limit, too."""
+    farm = dataclasses.replace(FARM, dynamics=DynamicsConfig(model="inertial")) if inertial else FARM
+    most, speed, at, dt = (3.0 if inertial else math.inf), 0.0, 250.0, 0.01
+    for step in range(6000):
+        if step % 10 == 0:
+            wanted, _ = inside_border(farm, 0, np.array([10.0, 0.0]), (at, 200.0))
+        gain = most * dt
+        speed = wanted if inertial is False else speed + min(gain, max(-gain, wanted - speed))
+        at += speed * dt
+    assert 395.0 < at <= 400.0
+    assert inside_border(farm, 0, np.array([10.0, -10.0]), (405.0, -5.0)) == (0.0, 0.0)
+    assert inside_border(farm, 0, np.array([-10.0, 10.0]), (405.0, -5.0)) == (-10.0, 10.0)

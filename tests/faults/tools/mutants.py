@@ -45,8 +45,16 @@ def samples() -> dict[str, bytes]:
         messages.EvaluationOrder(1, 1, 1, (1, 2), (3, 4)),
         messages.EvaluationResult(1, 1, np.zeros((1, 2, 2), np.float32), np.ones(1, np.int64)),
         messages.ImitationMessage(1, 1, 1, 10, 0.1, (0,), ((0.5, 0.25),), 10),
-        messages.ObservationMessage("a_0", 1, np.zeros(4, np.float32)),
-        messages.SetpointMessage("a_0", (1.0, -1.0), False, "", 1, 1, 1, 0.5),
+        messages.PoseMessage(
+            *("a_0", 1_700_000_000_000_000, (12.5, 300.0), False, 20.0, (1.0, -2.0), (0.5, 0.0), (), 1e5, ()),
+            *(False, 7, "main", 3, ""),
+            served=np.arange(3, dtype=np.int32),
+            served_stamp=np.arange(3, dtype=np.int64),
+        ),
+        messages.SetpointMessage(
+            *("a_0", (1.25, -10.0), (13.75, 290.0), 20.0, 0.0, (0.125, -1.0)),
+            *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004),
+        ),
         messages.MetricMessage(1, "host", 2, 0.5, {"a": 1, "b": [1.5, "x"], "c": {"d": None}}),
         messages.WatchRequest("somebody", True),
         messages.WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
