@@ -176,11 +176,22 @@ collection = 0.8
 """A farm with all of them: links that count, failures, stress, batteries, wind and no-fly zones."""
 
 INERTIAL: Final = """
-episodes = 6000
+episodes = 4000
 [farm.dynamics]
 model = "inertial"
 [farm.observation]
 route = false
+[algorithm]
+discount = 0.98
+iteration_steps = 8000
+epochs = 4
+[algorithm.discounts]
+communication = 1.0
+[algorithm.entropy_scales]
+communication = 0.05
+[algorithm.hindsight]
+monitoring = 1.0
+collection = 0.75
 """
 """The default farm with UAVs that need time to change their velocity, by PX4's limits; actors learn from nothing."""
 

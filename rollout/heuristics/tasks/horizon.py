@@ -22,7 +22,7 @@ from eia_sec.rollout.heuristics.tasks.sites import images_succeed, packet_chance
 from eia_sec.rollout.sim.boxes import reach
 from eia_sec.rollout.sim.core.constants import constants
 from eia_sec.rollout.sim.core.motion import flight_power
-from eia_sec.rollout.sim.sweep_routes import plot_centres
+from eia_sec.rollout.sim.sweep_routes import plot_centres, plot_qualities
 
 LAST: Final = 60
 """Number of last steps in which plans look further ahead, because whatever is unserved at the end is lost."""
@@ -43,6 +43,7 @@ class Effort:
         last_width: width during the last LAST steps.
         same: kept paths that may end in one place.
         discount: discount factor per step.
+        hold: steps for which UAVs with inertia hold a command in a plan.
     """
 
     horizon: int = 16
@@ -51,6 +52,7 @@ class Effort:
     last_width: int = 64
     same: int = 4
     discount: float = 0.98
+    hold: int = 1
 
 
 EFFORT: Final = Effort()
@@ -60,8 +62,8 @@ STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 
 MOTION_EFFORT: Final = Effort(horizon=12, width=100, last_horizon=12, last_width=100, same=8, discount=0.95)
 """Its effort where UAVs have inertia."""
-PIECES: Final = 400
-"""Pieces of the table of a packet's probability."""
+PIECES: Final = 80
+"""Pieces of a table of probabilities along each axis."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -182,12 +184,9 @@ class MotionGroupPolicy:
         size = (world.field_x, world.field_y)
         self._limits = Limits(most, jerk, delay, float(top[0]), float(top[1]), world.step_seconds, *size)
         if kind == MONITORS:
-            sure = max(1.0, constants(config).added.image_sure)
-            self._sites = make_sites(plot_centres(world), size, np.ones(2), sure)
+            self._sites = make_sites(plot_centres(world), size, *image_table(config))
         else:
-            far = radio_range(config, FAINT)
-            chance = packet_chances(config, np.sqrt(np.linspace(0.0, far * far, PIECES + 1)))
-            self._sites = make_sites(state.layout.sensor_xy, size, chance, max(1.0, far * far))
+            self._sites = make_sites(state.layout.sensor_xy, size, *packet_table(config))
         self._barred = barred_cells(state)
         self._commands: list[Array] = [np.zeros((0, 2))] * len(state.of(kind))
         self._places = list(self._commands)
@@ -230,7 +229,30 @@ class MotionGroupPolicy:
             self._barred,
             width,
             effort.same,
+            effort.hold,
         )
+
+
+@functools.lru_cache(maxsize=8)
+def image_table(config: FarmConfig) -> tuple[Array, float]:
+    """Return whether images of a plot succeed by the distance from its centre along both axes; see `Sites`."""
+    far = max(1.0, constants(config).added.image_reach)
+    offsets = _offsets(far)
+    good = plot_qualities(config, offsets) >= config.camera.plot_threshold
+    return good.reshape(PIECES, PIECES).astype(np.float64), far
+
+
+@functools.lru_cache(maxsize=8)
+def packet_table(config: FarmConfig) -> tuple[Array, float]:
+    """Return the probability of a packet by the distance from its sensor along both axes; see `Sites`."""
+    far = max(1.0, radio_range(config, FAINT))
+    return packet_chances(config, np.linalg.norm(_offsets(far), axis=1)).reshape(PIECES, PIECES), far
+
+
+def _offsets(far: float) -> Array:
+    """Return the middles of the squares of a table as far as a distance along both axes, [PIECES^2, 2] m."""
+    middle = (np.arange(PIECES) + 0.5) * far / PIECES
+    return np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def barred_cells(state: FarmState) -> Flags:

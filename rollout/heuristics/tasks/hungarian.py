@@ -3,7 +3,9 @@
 Source: sequential assignment with the Hungarian method (Kuhn 1955), with look-ahead by rolling out a chain.
 """
 
+import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
+from eia_sec.rollout.heuristics.tasks.greedy import flight_steps
 from eia_sec.rollout.heuristics.tasks.targets import Targets
-from eia_sec.rollout.sim.boxes import Array, aim, steps_to
+from eia_sec.rollout.sim.boxes import Array, aim
 
 Indices = NDArray[np.int64]
 
@@ -49,7 +52,8 @@ class HungarianGroupPolicy:
     def __init__(self, state: FarmState, kind: int) -> None:
         self._kind = kind
         self._targets = Targets(state, kind)
-        self._world, number = state.config.world, len(self._targets.centre)
+        number = len(self._targets.centre)
+        self._calm_steps = functools.partial(flight_steps, replace(state, wind=None), kind)
         self._known = self._discounts(np.arange(number)) if number <= MOST_KNOWN else None
         self.chosen: Indices = np.full(len(state.of(kind)), -1)
         self._second = self.chosen
@@ -59,7 +63,7 @@ class HungarianGroupPolicy:
         position, box = state.of(self._kind), self._targets.box
         value = self._targets.value(state)
         if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
-            steps = steps_to(position[:, None], box[:, None], state.config.world, state.wind)
+            steps = flight_steps(state, self._kind, position[:, None], box[:, None])
             self.chosen, self._second = self._assign(value, steps)
         goals = position.copy()
         for uav in np.flatnonzero(self.chosen >= 0):
@@ -72,7 +76,7 @@ class HungarianGroupPolicy:
 
     def _discounts(self, at: Indices) -> Array:
         """Return the discounts [C, K] for flights from the given targets [C] to all targets."""
-        steps = steps_to(self._targets.centre[at][:, None], self._targets.box[:, None], self._world)
+        steps = self._calm_steps(self._targets.centre[at][:, None], self._targets.box[:, None])
         discounts: Array = DISCOUNT**steps
         return discounts
 

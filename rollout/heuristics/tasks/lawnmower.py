@@ -13,25 +13,31 @@ from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState
 from eia_sec.rollout.heuristics.inertia import Inertia
 from eia_sec.rollout.heuristics.tasks.tour_follower import TourFollower
 from eia_sec.rollout.sim.boxes import Array
-from eia_sec.rollout.sim.sweep_routes import Block, divided, shortest, sweep_routes
+from eia_sec.rollout.sim.sweep_routes import Block, divided, plot_boxes, shortest, sweep_routes
 
 LANE: Final = 50.0
 """Widest lane of a collector, m."""
 INSET: Final = 33.0
 """A collector turns at this distance from the border of its area, m."""
+TURN: Final = 8.0
+"""With inertia, a collector begins to turn so far before or behind this place, m."""
 ARRIVED: Final = 0.5
-"""A collector has reached its turning point if it is within this distance along each axis, m."""
+"""A UAV has reached its turning point or lane if it is within this distance along each axis, m."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that weave along lanes of LANE_PLOTS plots, or with inertia fly straight over each column."""
-    routes = straight_routes(state.config) if state.config.dynamics.inertial else sweep_routes(state.config)
-    return TourFollower(routes, MONITORS, state)
+    if state.config.dynamics.inertial:
+        return TourFollower(straight_routes(state.config), MONITORS, state, through=True)
+    return TourFollower(sweep_routes(state.config), MONITORS, state)
 
 
 def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that fly along lanes at most LANE wide."""
-    return TourFollower(collection_routes(state.config.world), COLLECTORS, state)
+    through, routes = state.config.dynamics.inertial, collection_routes(state.config.world)
+    if through:
+        routes = [route + np.array([[[0.0, -TURN]], [[0.0, TURN]]]) for route in routes]
+    return TourFollower(routes, COLLECTORS, state, through=through)
 
 
 def collection_routes(world: WorldConfig) -> list[Array]:
@@ -47,26 +53,38 @@ def collection_routes(world: WorldConfig) -> list[Array]:
 
 @functools.lru_cache(maxsize=64)
 def straight_routes(config: FarmConfig) -> list[Array]:
-    """Return the boxes around the turning points of each monitor's lanes, [2, L, 2] m each, one over each column.
+    """Return the boxes around the ends of each monitor's lanes, [2, L, 2] m each; a lane lies over each column.
 
-    The field is divided so that the longest lap takes the least time with all its turns.
+    A lane's box is where it ends; the next lane begins where the UAV has turned. The field is divided so that the
+    longest lap takes the least time.
     """
-    world = config.world
+    world, boxes = config.world, plot_boxes(config)
     divisions = [
-        [_columns(block, world) for block in blocks]
+        [_columns(block, boxes, world.plots_y) for block in blocks]
         for blocks in divided(world.monitoring_uavs, world.plots_x, world.plots_y)
     ]
-    return min(divisions, key=lambda routes: max(lap_seconds(route, config) for route in routes))
+    return min(divisions, key=lambda routes: max(lap_seconds(route, config) / _laps(route) for route in routes))
 
 
-def _columns(block: Block, world: WorldConfig) -> Array:
-    """Return boxes around the middles of the first and the last plot of each column of a block."""
+def _columns(block: Block, boxes: Array, rows: int) -> Array:
+    """Return boxes at the ends of lanes over each column of a block: every second column, then back over the others.
+
+    Lanes side by side would leave the way from the last to the first.
+    """
     first, last, low, high = block
-    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
-    rows = [(low, high - 1), (high - 1, low)]
-    ends = [(column, row) for number, column in enumerate(range(first, last)) for row in rows[number % 2]]
-    place = (np.array(ends) + 0.5) * size
-    return np.stack([place - ARRIVED, place + ARRIVED])
+    columns = [*range(first, last, 2), *range(first + 1, last, 2)[::-1]]
+    if len(columns) % 2:
+        columns += columns  # a second lap, in which each lane is flown the other way
+    ends = [(high - 1) if number % 2 == 0 else low for number in range(len(columns))]
+    box = boxes[:, np.array(columns) * rows + np.array(ends)].copy()
+    middle = box[..., 0].mean(axis=0)
+    box[..., 0] = np.stack([middle - ARRIVED, middle + ARRIVED])
+    return box
+
+
+def _laps(route: Array) -> int:
+    """Return the laps of a route; see `_columns`."""
+    return route.shape[1] // len(np.unique(route[0, :, 0]))
 
 
 def lap_seconds(route: Array, config: FarmConfig) -> float:

@@ -1,6 +1,7 @@
 """Beam search for the commands of one UAV with inertia: paths are flown as the farm would fly them.
 
-In every step a path tries, along each axis, full speed back, to stand, to keep the present velocity and full speed on.
+A path tries, along each axis, full speed back, to stand, to keep the present velocity and full speed on, and holds each
+command for some steps.
 """
 
 from typing import Final, NamedTuple
@@ -33,8 +34,8 @@ class Sites(NamedTuple):
         rows: squares along y.
         width: of a square, m.
         depth: of a square, m.
-        chance: [K + 1] probability of service at equal steps of the squared distance.
-        limit: squared distance of the last, beyond which there is none, m^2.
+        chance: [K, K] probability of service at equal steps of the distances along x and along y, from 0.
+        limit: distance along an axis from which there is none, m.
     """
 
     place: Array
@@ -86,17 +87,16 @@ class Reward(NamedTuple):
 @compiled
 def _serve(sites: Sites, level: Array, rest: Array, x: float, y: float, take: bool) -> float:
     """Return the units that a step ending at a place serves; take them away if asked."""
-    total, reach = 0.0, np.sqrt(sites.limit)
+    total, reach = 0.0, sites.limit
     left, right = int(max(0.0, (x - reach) // sites.width)), int(min(sites.columns - 1.0, (x + reach) // sites.width))
     low, high = int(max(0.0, (y - reach) // sites.depth)), int(min(sites.rows - 1.0, (y + reach) // sites.depth))
-    scale = (len(sites.chance) - 1) / sites.limit
+    scale = len(sites.chance) / reach
     for column in range(left, right + 1):
         for entry in range(sites.first[column * sites.rows + low], sites.first[column * sites.rows + high + 1]):
             site = sites.item[entry]
-            dx, dy = sites.place[site, 0] - x, sites.place[site, 1] - y
-            square = dx * dx + dy * dy
-            if square < sites.limit:
-                chance = sites.chance[int(square * scale)]
+            dx, dy = abs(sites.place[site, 0] - x), abs(sites.place[site, 1] - y)
+            if dx < reach and dy < reach:
+                chance = sites.chance[int(dx * scale), int(dy * scale)]
                 total += level[site] * rest[site] * chance
                 if take:
                     rest[site] *= 1.0 - chance
@@ -104,14 +104,19 @@ def _serve(sites: Sites, level: Array, rest: Array, x: float, y: float, take: bo
 
 
 @compiled
-def _fly(limits: Limits, axis: int, place: float, motion: Array, out: Array) -> None:
-    """Write for each level of an axis: place, velocity, acceleration, command, and 1 if the border stops it; [L, 5]."""
+def _fly(limits: Limits, axis: int, place: float, motion: Array, levels: int, out: Array) -> None:
+    """Write for each level of an axis: place, velocity, acceleration, command, and 1 if the border stops it; [L, 5].
+
+    A single level is the last command.
+    """
     top = limits.top_x if axis == 0 else limits.top_y
     side = limits.field_x if axis == 0 else limits.field_y
     v, a = motion[VELOCITY + axis], motion[ACCELERATION + axis]
     first, v0, a0 = glide(v, a, motion[COMMAND + axis], limits.most, limits.jerk, limits.delay)
-    for level in range(LEVELS):
+    for level in range(levels):
         command = v if level == LEVELS - 1 else (level - 1.0) * top
+        if levels == 1:
+            command = motion[COMMAND + axis]
         way, then, end = glide(v0, a0, command, limits.most, limits.jerk, limits.seconds - limits.delay)
         to = place + first + way
         out[level, 0], out[level, 1], out[level, 2], out[level, 3], out[level, 4] = to, then, end, command, 0.0
@@ -141,6 +146,7 @@ def best_commands(
     barred: Flags,
     width: int,
     same: int,
+    hold: int,
 ) -> tuple[Array, Array]:
     """Return the commands of the best path that a beam search finds, and the places that they lead to.
 
@@ -156,6 +162,7 @@ def best_commands(
         barred: [columns, rows] cells that no step may end in; empty where all are free.
         width: number of paths to keep.
         same: number of kept paths that may be in one cell.
+        hold: steps for which a path holds each command.
 
     Returns:
         [H, 2] m/s and [H, 2] m.
@@ -168,17 +175,18 @@ def best_commands(
     place, moving, score = np.zeros((1, 2)), np.zeros((1, 6)), np.zeros(1)
     place[0], moving[0] = position, motion
     commands, path = np.zeros((1, horizon, 2)), np.zeros((1, horizon, 2))
-    options = LEVELS * LEVELS
     outcome = np.zeros((width, 2, LEVELS, 5))
-    candidate, cell = np.empty(width * options), np.empty(width * options, np.int64)
+    candidate, cell = np.empty(width * LEVELS * LEVELS), np.empty(width * LEVELS * LEVELS, np.int64)
     used, chosen, factor = np.zeros(columns * rows, np.int64), np.empty(width, np.int64), 1.0
     to = np.empty(2)
     for step in range(horizon):
+        levels = LEVELS if step % hold == 0 else 1
+        options = levels * levels
         for b in range(len(score)):
-            _fly(limits, 0, place[b, 0], moving[b], outcome[b, 0])
-            _fly(limits, 1, place[b, 1], moving[b], outcome[b, 1])
+            _fly(limits, 0, place[b, 0], moving[b], levels, outcome[b, 0])
+            _fly(limits, 1, place[b, 1], moving[b], levels, outcome[b, 1])
             for option in range(options):
-                x, y = outcome[b, 0, option // LEVELS], outcome[b, 1, option % LEVELS]
+                x, y = outcome[b, 0, option // levels], outcome[b, 1, option % levels]
                 value = -np.inf
                 column = int(min(columns - 1.0, x[0] / limits.field_x * columns))
                 row = int(min(rows - 1.0, y[0] / limits.field_y * rows))
@@ -198,7 +206,7 @@ def best_commands(
         for k in range(kept):
             b, option = chosen[k] // options, chosen[k] % options
             for axis in range(2):
-                end = outcome[b, axis, option // LEVELS if axis == 0 else option % LEVELS]
+                end = outcome[b, axis, option // levels if axis == 0 else option % levels]
                 place[k, axis], moving[k, VELOCITY + axis] = end[0], end[1]
                 moving[k, ACCELERATION + axis], moving[k, COMMAND + axis] = end[2], end[3]
                 commands[k, step, axis], path[k, step, axis] = end[3], end[0]
@@ -208,7 +216,7 @@ def best_commands(
 
 
 def make_sites(place: NDArray[np.float64], field: tuple[float, float], chance: Array, limit: float) -> Sites:
-    """Return sites [S, 2] m of a field, served with these probabilities; see `Sites`."""
+    """Return sites [S, 2] m of a field, served with probabilities `chance` [K, K]; see `Sites`."""
     columns, rows = (max(1, int(side / BUCKET)) for side in field)
     width, depth = field[0] / columns, field[1] / rows
     across = np.minimum(columns - 1, (place[:, 0] / width).astype(np.int64))

@@ -1,0 +1,164 @@
+"""Teams that learned to fly with inertia, beside an untrained team and the heuristics.
+
+    python -m research.experiments.inertia [POLICY ...] [--seeds 0 1] [--farms 2000:2100] [--keep FOLDER]
+        [--write research/results/inertia]
+
+Each seed trains the preset `inertial` in one process. The trained teams, and the policies that are named (`untrained`,
+heuristics, files), fly without noise on farms on which nothing was chosen. Results of others that are there stay.
+"""
+
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import tyro
+
+from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.presets import preset
+from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import save_policy
+from eia_sec.common.transitions import Chunk
+from eia_sec.deploy.commands.policies.evaluate import parse_farms
+from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.reports.intervals import DECIMALS, ranked
+from eia_sec.deploy.reports.provenance import provenance
+from eia_sec.learner.trainer import Trainer
+from eia_sec.learner.trainers import make_trainer
+from eia_sec.rollout.evaluation import evaluate
+from eia_sec.rollout.heuristics.registry import TASKS
+from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
+from research.experiments.heuristics import summarised
+from research.experiments.reporting import store_results
+from research.pages.blocks import read_json, table, wrapped
+
+UNTRAINED: Final = "untrained"
+AIM: Final = 1.05
+"""What trained teams should earn, over the best heuristic's reward."""
+AIM_MINUTES: Final = 40.0
+"""Minutes of processor time in which they should: twenty on each of two cores."""
+FIELDS: Final = {
+    "reward": "reward per agent",
+    "communication": "communication",
+    "monitoring": "monitoring",
+    "collection": "data collection",
+    "aoi": "AoI",
+    "vdf": "VDF",
+}
+"""Shown fields of a score and their headings."""
+EVERY: Final = 200
+"""Episodes between two lines on a training."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train teams with inertia; fly them and others over farms on which nothing was chosen."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Policies to fly: untrained, heuristics or files."""
+    seeds: tuple[int, ...] = ()
+    """Seeds to train."""
+    farms: str = "2000:2100"
+    """Farm seeds A:B, from A to B - 1; one episode on each."""
+    keep: Path | None = None
+    """Folder for the policies of the seeds, or none."""
+    write: Path = Path("research/results/inertia")
+    """Where the results go."""
+
+
+def main() -> None:
+    """Train, fly, and write after each policy."""
+    arguments = tyro.cli(Arguments, prog="python -m research.experiments.inertia")
+    config, made = preset("inertial"), provenance("research.experiments.inertia")
+    for name in arguments.policies:
+        policy = ActorPolicy(untrained(config)) if name == UNTRAINED else policy_of(name, config.farm)
+        _store(arguments.write, made, flown(config, policy, Path(name).stem, arguments.farms))
+    for seed in arguments.seeds:
+        actors, costs = trained(replace(config, seed=seed))
+        if arguments.keep:
+            arguments.keep.mkdir(parents=True, exist_ok=True)
+            save_policy(arguments.keep / f"inertial-{seed}.safetensors", actors, {"seed": str(seed)})
+        _store(arguments.write, made, {**flown(config, ActorPolicy(actors), f"seed {seed}", arguments.farms), **costs})
+
+
+def untrained(config: RunConfig) -> TeamActors:
+    """Return the actors with which a run begins."""
+    return make_trainer(config, farm_team(config.farm)).actors().noise_free()
+
+
+def trained(config: RunConfig) -> tuple[TeamActors, dict[str, Any]]:
+    """Train; return the actors and what they cost."""
+    began, next_line = time.process_time(), 0
+
+    def watch(trainer: Trainer, chunk: Chunk) -> None:
+        nonlocal next_line
+        if trainer.episodes >= next_line:
+            next_line = trainer.episodes + EVERY
+            sys.stderr.write(f"seed {config.seed}: {trainer.episodes} episodes, {time.process_time() - began:.0f} s\n")
+
+    trainer = train_in_process(config, watch)
+    cost = {"seed": config.seed, "episodes": trainer.episodes, "steps": trainer.environment_steps}
+    return trainer.actors().noise_free(), {**cost, "training_cpu_seconds": round(time.process_time() - began, 1)}
+
+
+def flown(config: RunConfig, policy: Policy, name: str, farms: str) -> dict[str, Any]:
+    """Return a policy's scores, see `research.experiments.heuristics`, and on how many farms it flew."""
+    seeds, began = parse_farms(farms), time.process_time()
+    found = evaluate(config.farm, policy, seeds, 1, name=name)
+    sys.stderr.write(f"{name}: {found.total.reward:.0f}\n")
+    scores = summarised(found, time.process_time() - began)
+    return {**scores, "first_farm": seeds.start, "farms": len(seeds)}
+
+
+def _store(folder: Path, made: dict[str, Any], result: dict[str, Any]) -> None:
+    """Write one more result, in place of an earlier one of the same policy."""
+    earlier = (read_json(folder / "results.json") or {"results": []})["results"]
+    results = [other for other in earlier if other["policy"] != result["policy"]]
+    results.append({**result, "command": made["command"], "commit": made["commit"]})
+    store_results({"results": results}, page, folder)
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as a page."""
+    commands = dict.fromkeys(f"- `{result['command']}`, commit {result['commit']}" for result in data["results"])
+    return "\n".join(["# Flight with inertia", "", inertia_block(data), "Made by:", "", *commands, ""])
+
+
+def inertia_block(data: dict[str, Any]) -> str:
+    """Return the table of all policies, the best first, and what it says about the aims."""
+    rows = [[_label(one), *(_cell(one, name) for name in FIELDS), str(one["farms"])] for one in ranked(data)]
+    parts = [table(["policy", *FIELDS.values(), "farms"], rows), ""]
+    seeds = [result for result in data["results"] if "seed" in result]
+    bar = next((result for result in ranked(data) if result["policy"] in TASKS), None)
+    if seeds and bar:
+        mean = sum(result["reward"][0] for result in seeds) / len(seeds)
+        minutes = max(result["training_cpu_seconds"] for result in seeds) / 60.0
+        ratio = mean / bar["reward"][0]
+        number = "one seed" if len(seeds) == 1 else f"mean of {len(seeds)} seeds"
+        met = "met" if ratio >= AIM and minutes <= AIM_MINUTES else "not met"
+        text = f"""Trained teams ({number}) earn {ratio:.2f} times what the best heuristic, {bar["policy"]}, does, after
+            at most {minutes:.0f} minutes of processor time. The aim, {AIM:g} times within {AIM_MINUTES:g} minutes, is
+            {met}."""
+        base = next((result for result in data["results"] if result["policy"] == UNTRAINED), None)
+        if base:
+            text += f" The untrained team earns {base['reward'][0] / mean:.2f} times what they do."
+        parts += [wrapped(text), ""]
+    return "\n".join(parts)
+
+
+def _label(result: dict[str, Any]) -> str:
+    """Return a policy's name in the table."""
+    return f"**trained, {result['policy']}**" if "seed" in result else str(result["policy"])
+
+
+def _cell(result: dict[str, Any], name: str) -> str:
+    """Return mean and interval of a field; of the reward alone with the interval."""
+    digits = DECIMALS.get(name, 0)
+    mean, low, high = (f"{value:.{digits}f}" for value in result[name])
+    return f"{mean} ({low}..{high})" if name == "reward" and low != high else mean
+
+
+if __name__ == "__main__":
+    main()
