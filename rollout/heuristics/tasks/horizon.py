@@ -60,7 +60,7 @@ EFFORT: Final = Effort()
 STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
 """Its effort where there can be stress: a larger search pays there, for `uneven` 2 %."""
 
-MOTION_EFFORT: Final = Effort(horizon=12, width=100, last_horizon=12, last_width=100, same=8, discount=0.95)
+MOTION_EFFORT: Final = Effort(horizon=40, width=200, last_horizon=40, last_width=200, same=8, discount=0.96, hold=2)
 """Its effort where UAVs have inertia."""
 PIECES: Final = 80
 """Pieces of a table of probabilities along each axis."""

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from eia_sec.common.config.presets import preset
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.heuristics.inertia import Inertia, glide, rest_seconds
+from eia_sec.rollout.heuristics.tasks.horizon import image_table
 from eia_sec.rollout.heuristics.tasks.lawnmower import straight_routes
 from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.core.dynamics import glide as compiled_glide
+from eia_sec.rollout.sim.sweep_routes import plot_qualities
 from tests.rollout.sim.properties.strategies import dose
 
 FARM = preset("inertial").farm
@@ -66,12 +68,21 @@ def test_ways_take_the_time_that_is_reckoned(way: float):
 
 
 def test_sweeps_are_straight():
-    """Every lane of a monitor lies over one column of plots, and the four parts are strips of the whole depth."""
+    """A monitor's lanes end in turns at the far and the near side; two laps fly each of its columns both ways."""
     for route in straight_routes(FARM):
         places = route.mean(axis=0)
-        assert len(places) == 10
-        np.testing.assert_allclose(places[::2, 0], places[1::2, 0])
-        np.testing.assert_allclose(np.abs(places[::2, 1] - places[1::2, 1]), 380.0)
+        assert places[:, 1].tolist() == [390.0, 10.0] * 5
+        assert np.diff(np.sort(places[:, 0])).tolist() == [0.0, 20.0] * 4 + [0.0]
+        assert np.abs(np.diff(places[:, 0])).max() <= 40.0
+
+
+def test_horizon_knows_from_where_images_succeed():
+    """The table of the search agrees with the camera at places all over a plot."""
+    table, far = image_table(FARM)
+    places = np.random.default_rng(0).uniform(-10.0, 10.0, (200, 2))
+    cells = np.minimum((np.abs(places) * len(table) / far).astype(int), len(table) - 1)
+    known = table[cells[:, 0], cells[:, 1]] * (np.abs(places) < far).all(axis=1)
+    assert (known == (plot_qualities(FARM, places) >= FARM.camera.plot_threshold)).mean() > 0.97
 
 
 @pytest.mark.parametrize(("name", "least"), [("lawnmower", 280), ("greedy", 150), ("horizon", 320)])
