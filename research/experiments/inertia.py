@@ -23,31 +23,16 @@ from eia_sec.common.policy_file import save_policy
 from eia_sec.common.transitions import Chunk
 from eia_sec.deploy.commands.policies.evaluate import parse_farms
 from eia_sec.deploy.local.in_process import train_in_process
-from eia_sec.deploy.reports.intervals import DECIMALS, ranked
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.learner.trainer import Trainer
 from eia_sec.learner.trainers import make_trainer
 from eia_sec.rollout.evaluation import evaluate
-from eia_sec.rollout.heuristics.registry import TASKS
 from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
 from research.experiments.heuristics import summarised
 from research.experiments.reporting import store_results
-from research.pages.blocks import read_json, table, wrapped
+from research.pages.blocks import read_json
+from research.pages.inertia_table import UNTRAINED, page
 
-UNTRAINED: Final = "untrained"
-AIM: Final = 1.05
-"""What trained teams should earn, over the best heuristic's reward."""
-AIM_MINUTES: Final = 40.0
-"""Minutes of processor time in which they should: twenty on each of two cores."""
-FIELDS: Final = {
-    "reward": "reward per agent",
-    "communication": "communication",
-    "monitoring": "monitoring",
-    "collection": "data collection",
-    "aoi": "AoI",
-    "vdf": "VDF",
-}
-"""Shown fields of a score and their headings."""
 EVERY: Final = 200
 """Episodes between two lines on a training."""
 
@@ -118,46 +103,6 @@ def _store(folder: Path, made: dict[str, Any], result: dict[str, Any]) -> None:
     results = [other for other in earlier if other["policy"] != result["policy"]]
     results.append({**result, "command": made["command"], "commit": made["commit"]})
     store_results({"results": results}, page, folder)
-
-
-def page(data: dict[str, Any]) -> str:
-    """Return the results as a page."""
-    commands = dict.fromkeys(f"- `{result['command']}`, commit {result['commit']}" for result in data["results"])
-    return "\n".join(["# Flight with inertia", "", inertia_block(data), "Made by:", "", *commands, ""])
-
-
-def inertia_block(data: dict[str, Any]) -> str:
-    """Return the table of all policies, the best first, and what it says about the aims."""
-    rows = [[_label(one), *(_cell(one, name) for name in FIELDS), str(one["farms"])] for one in ranked(data)]
-    parts = [table(["policy", *FIELDS.values(), "farms"], rows), ""]
-    seeds = [result for result in data["results"] if "seed" in result]
-    bar = next((result for result in ranked(data) if result["policy"] in TASKS), None)
-    if seeds and bar:
-        mean = sum(result["reward"][0] for result in seeds) / len(seeds)
-        minutes = max(result["training_cpu_seconds"] for result in seeds) / 60.0
-        ratio = mean / bar["reward"][0]
-        number = "one seed" if len(seeds) == 1 else f"mean of {len(seeds)} seeds"
-        met = "met" if ratio >= AIM and minutes <= AIM_MINUTES else "not met"
-        text = f"""Trained teams ({number}) earn {ratio:.2f} times what the best heuristic, {bar["policy"]}, does, after
-            at most {minutes:.0f} minutes of processor time. The aim, {AIM:g} times within {AIM_MINUTES:g} minutes, is
-            {met}."""
-        base = next((result for result in data["results"] if result["policy"] == UNTRAINED), None)
-        if base:
-            text += f" The untrained team earns {base['reward'][0] / mean:.2f} times what they do."
-        parts += [wrapped(text), ""]
-    return "\n".join(parts)
-
-
-def _label(result: dict[str, Any]) -> str:
-    """Return a policy's name in the table."""
-    return f"**trained, {result['policy']}**" if "seed" in result else str(result["policy"])
-
-
-def _cell(result: dict[str, Any], name: str) -> str:
-    """Return mean and interval of a field; of the reward alone with the interval."""
-    digits = DECIMALS.get(name, 0)
-    mean, low, high = (f"{value:.{digits}f}" for value in result[name])
-    return f"{mean} ({low}..{high})" if name == "reward" and low != high else mean
 
 
 if __name__ == "__main__":

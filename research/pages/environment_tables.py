@@ -4,6 +4,7 @@ import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from eia_sec.rollout.rendering.render import Renderer
 from eia_sec.rollout.shipped_policies import preset_of
 from eia_sec.rollout.sim.batch import FarmBatch
 from research.pages.blocks import Block
+from research.pages.measurements import measured
 
 TIMINGS: Final = Path("research/results/environment.json")
 POLICY: Final = "tour"
@@ -113,5 +115,6 @@ BLOCKS: Final[Mapping[str, Block]] = {
     "spaces": lambda _: spaces_table(preset("study").farm),
     "added": lambda _: added_table(),
     "timings": timings,
+    "inertia": partial(measured, "inertia"),
 }
 """Every block of the page by its name."""

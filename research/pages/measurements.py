@@ -8,6 +8,7 @@ from eia_sec.deploy.reports.intervals import interval_table
 from research.benchmarks.distribution.summary import summary
 from research.pages import capacity
 from research.pages.blocks import read_json
+from research.pages.inertia_table import inertia_block
 from research.pages.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "research/results/reproduce/training/results.json"
@@ -290,6 +291,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "forms": (("research/results/critic_forms/forms.json",), forms_block),
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("research/results/hosts/results.json",), hosts_block),
+    "inertia": (("research/results/inertia/results.json",), inertia_block),
     "paper-preset": (("research/results/paper/evaluation.json",), paper_block),
     "results": ((TRAINING, PRESET, SEEDS, LONG), results_block),
     "tasks": (
