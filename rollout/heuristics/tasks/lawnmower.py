@@ -84,7 +84,7 @@ def _columns(block: Block, boxes: Array, rows: int) -> Array:
 
 def _laps(route: Array) -> int:
     """Return the laps of a route; see `_columns`."""
-    return route.shape[1] // len(np.unique(route[0, :, 0]))
+    return int(route.shape[1]) // len(np.unique(route[0, :, 0]))
 
 
 def lap_seconds(route: Array, config: FarmConfig) -> float:
