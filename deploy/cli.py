@@ -50,11 +50,12 @@ COMMANDS: Final = {
     ),
     "farm": Command("eia_sec.deploy.commands.policies.farm", "draw, save or check farms and files of sensor positions"),
     "export": Command("eia_sec.deploy.commands.policies.export", "export a run's actors as ONNX or plain tensors"),
-    "fly": Command(
-        "eia_sec.deploy.commands.policies.fly", "fly vehicles with trained actors: observations in, set-points out"
-    ),
+    "fly": Command("eia_sec.deploy.commands.policies.fly", "fly vehicles with a policy: poses in, set-points out"),
     "simulator": Command(
         "eia_sec.deploy.commands.policies.simulator", "simulate the vehicles that eia-sec fly controls"
+    ),
+    "bridge": Command(
+        "eia_sec.deploy.commands.policies.bridge", "connect a vehicle's autopilot to eia-sec fly: MAVLink"
     ),
     "keys": Command("eia_sec.deploy.commands.fleet.keys", "make and renew the certificates that --tls needs"),
     "audit": Command("eia_sec.deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),

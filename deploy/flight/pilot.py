@@ -27,7 +27,7 @@ from eia_sec.deploy.flight.farm_map import FarmMap
 from eia_sec.deploy.flight.poses import Field, Vehicle
 
 KEPT: Final = 1000
-"""Newest decisions that the reported latency covers."""
+"""Newest set-points after a new pose that the reported latency covers."""
 ROWS: Final = 16
 """Most vehicles that a report lists one by one, hovering ones first."""
 REASONS: Final = 4
@@ -204,8 +204,10 @@ class Pilot:
         self.decisions += 1
         self.limited += velocity != tuple(wanted.tolist())
         latency = self._clock() - vehicle.began
-        self._latency.append(latency)
-        self._age.append(now - pose.stamp / 1e6)
+        if not vehicle.answered:
+            vehicle.answered = True
+            self._latency.append(latency)
+            self._age.append(now - pose.stamp / 1e6)
         return SetpointMessage(
             agent=vehicle.agent,
             velocity=velocity,

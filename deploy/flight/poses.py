@@ -80,6 +80,7 @@ class Vehicle:
         place: the last place that is trusted, m.
         began: when the newest pose came, by the pilot's clock, s.
         arrived: the same in seconds since 1970.
+        answered: whether a set-point has followed it.
         reason: why it hovers in this period, or empty.
         cause: the reason's sort.
         causes: hover set-points by cause.
@@ -98,6 +99,7 @@ class Vehicle:
     place: tuple[float, float] | None = None
     began: float = 0.0
     arrived: float = 0.0
+    answered: bool = True
     reason: str = ""
     cause: str = ""
     causes: Counter[str] = field(default_factory=Counter)
@@ -135,7 +137,7 @@ class Vehicle:
         self.missed += max(0, sender.sequence - before - 1) if sender.incarnation == start else 0
         self._mark, self._complaint = (sender.incarnation, sender.sequence), ""
         self._compare(message, raw, field_)
-        self.newest, self._raw, self.began, self.arrived = message, raw, began, now
+        self.newest, self._raw, self.began, self.arrived, self.answered = message, raw, began, now, False
         if message.stamp >= self._settled and field_.outside(raw) <= OUTSIDE:
             self.place = raw
         for item, stamp in zip(message.served.tolist(), message.served_stamp.tolist(), strict=True):

@@ -1,0 +1,228 @@
+"""A bridge between a vehicle's link and its autopilot over MAVLink: PX4 in Offboard, ArduPilot in Guided.
+
+Arming, modes and every kind of recovery stay the pilot's and the autopilot's: the bridge sends heartbeats, requests for
+the position's rate, and velocity set-points. Their stream ends with the flight node's, so the autopilot's own time-out
+acts.
+"""
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from eia_sec.common.errors import EndpointError, UsageError
+from eia_sec.common.log import log
+from eia_sec.common.protocol.messages import SetpointMessage
+from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
+
+MASK: Final = 0b100111000111
+"""Type mask: velocity and yaw count; position, acceleration and yaw rate are ignored."""
+LOCAL_NED: Final = 1
+"""MAV_FRAME_LOCAL_NED: x north, y east, z down."""
+ONBOARD: Final = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER, the bridge's component."""
+AUTOPILOT: Final = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+STOP_SECONDS: Final = 2.0
+"""Silence of the flight node after which the stream of set-points ends; until then the vehicle is told to hover."""
+HEARTBEAT_SECONDS: Final = 1.0
+REQUEST_SECONDS: Final = 5.0
+"""Time without a position after which it is asked for again."""
+POSITION_RATE: Final = 10.0
+"""Positions per second that are asked for."""
+CLIMB_GAIN: Final = 1.0
+"""Climb per metre that the height is off, 1/s."""
+CLIMB: Final = 1.0
+"""Fastest climb or descent, m/s."""
+MOST_MESSAGES: Final = 200
+"""Most messages of the autopilot that are read in a period."""
+
+
+@dataclass(frozen=True)
+class BridgeOptions:
+    """How a bridge talks to an autopilot.
+
+    Attributes:
+        autopilot: pymavlink's connection, as udpin:0.0.0.0:14540 or /dev/ttyACM0.
+        system: the vehicle's MAVLink system.
+        rate: set-points per second; PX4 needs 2 at least.
+        local: east and north of the autopilot's own origin in the field, m; None tells latitude and longitude.
+    """
+
+    autopilot: str
+    system: int = 1
+    rate: float = 20.0
+    local: tuple[float, float] | None = None
+
+
+class MavlinkBridge:
+    """One vehicle's bridge.
+
+    Args:
+        link: the vehicle's link to the flight node.
+        options: see there.
+        monotonic: seconds that never go back.
+
+    Attributes:
+        sent: set-points sent to the autopilot.
+        frozen: positions whose time did not go on, which are not told.
+        mode: what the autopilot calls its mode, or empty before its first heartbeat.
+        armed: whether it is armed.
+
+    Raises:
+        UsageError: pymavlink is not installed.
+        EndpointError: the connection cannot be opened.
+    """
+
+    def __init__(
+        self, link: VehicleLink, options: BridgeOptions, monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._link, self._options, self._monotonic = link, options, monotonic
+        self._mav, self._wire = _connect(options)
+        self._boot = monotonic()
+        self._beat = self._asked = -math.inf
+        self._heard = 0
+        self._height: float | None = None
+        self._wind: tuple[float, ...] = ()
+        self._streams = False
+        self.sent = self.frozen = 0
+        self.mode, self.armed = "", False
+
+    def turn(self) -> None:
+        """Process one period: tell where the vehicle is, and pass on what it has to fly."""
+        now = self._monotonic()
+        pose = self._read()
+        if pose is not None:
+            self._link.publish(pose)
+        if now - self._beat >= HEARTBEAT_SECONDS:
+            self._beat = now
+            self._wire.mav.heartbeat_send(
+                self._mav.MAV_TYPE_ONBOARD_CONTROLLER, self._mav.MAV_AUTOPILOT_INVALID, 0, 0, 0
+            )
+        if self.mode and now - self._asked >= REQUEST_SECONDS:
+            self._asked = now
+            self._request()
+        setpoint = self._link.setpoint()
+        streams = self._link.silent < STOP_SECONDS
+        if streams != self._streams:
+            log("set-points stream to the autopilot." if streams else "the flight node is silent; the stream ends.")
+            self._streams = streams
+        if streams:
+            self._send(setpoint)
+
+    def close(self) -> None:
+        """Close the connection to the autopilot."""
+        self._wire.close()
+
+    def _read(self) -> Pose | None:
+        """Read what has come; return the newest pose, or None if none is new."""
+        found: Any = None
+        wanted = "GLOBAL_POSITION_INT" if self._options.local is None else "LOCAL_POSITION_NED"
+        for _ in range(MOST_MESSAGES):
+            message = self._wire.recv_msg()
+            if message is None:
+                break
+            if message.get_srcSystem() != self._options.system:
+                continue
+            kind = message.get_type()
+            if kind == "HEARTBEAT" and message.get_srcComponent() == AUTOPILOT:
+                self._note_mode(message)
+            elif kind == "WIND_COV":
+                self._wind = (float(message.wind_y), float(message.wind_x))
+            elif kind == wanted and message.time_boot_ms == self._heard:
+                self.frozen += 1
+            elif kind == wanted:
+                self._heard, found = message.time_boot_ms, message
+        if found is None:
+            return None
+        self._asked = self._monotonic()
+        return self._global_pose(found) if self._options.local is None else self._local_pose(found, self._options.local)
+
+    def _note_mode(self, message: Any) -> None:
+        from pymavlink import mavutil  # noqa: PLC0415 - an extra that few users need
+
+        mode = mavutil.mode_string_v10(message)
+        armed = bool(message.base_mode & self._mav.MAV_MODE_FLAG_SAFETY_ARMED)
+        if (mode, armed) != (self.mode, self.armed):
+            log(f"the autopilot is {'armed' if armed else 'disarmed'}, in mode {mode}.")
+            self.mode, self.armed = mode, armed
+
+    def _global_pose(self, message: Any) -> Pose:
+        self._height = message.relative_alt / 1e3
+        return Pose(
+            place=(message.lat / 1e7, message.lon / 1e7),
+            height=self._height,
+            velocity=(message.vy / 100.0, message.vx / 100.0),
+            wind=self._wind,
+            geodetic=True,
+        )
+
+    def _local_pose(self, message: Any, corner: tuple[float, float]) -> Pose:
+        self._height = -float(message.z)
+        return Pose(
+            place=(corner[0] + message.y, corner[1] + message.x),
+            height=self._height,
+            velocity=(float(message.vy), float(message.vx)),
+            wind=self._wind,
+        )
+
+    def _request(self) -> None:
+        """Ask for positions at a rate; PX4 sends them by itself, ArduPilot where it is asked."""
+        mav = self._mav
+        kind = (
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+            if self._options.local is None
+            else mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+        )
+        self._wire.mav.command_long_send(
+            self._options.system,
+            AUTOPILOT,
+            mav.MAV_CMD_SET_MESSAGE_INTERVAL,
+            0,
+            float(kind),
+            1e6 / POSITION_RATE,
+            *(0.0, 0.0, 0.0, 0.0, 0.0),
+        )
+
+    def _send(self, setpoint: SetpointMessage) -> None:
+        """Send a set-point: north is y and east is x; down follows from the height."""
+        east, north = setpoint.velocity
+        down = 0.0
+        if self._height is not None and setpoint.height > 0.0:
+            down = -max(-CLIMB, min(CLIMB, CLIMB_GAIN * (setpoint.height - self._height)))
+        self._wire.mav.set_position_target_local_ned_send(
+            int(1e3 * (self._monotonic() - self._boot)),
+            self._options.system,
+            AUTOPILOT,
+            LOCAL_NED,
+            MASK,
+            *(0.0, 0.0, 0.0),
+            *(north, east, down),
+            *(0.0, 0.0, 0.0),
+            _heading(setpoint.yaw),
+            0.0,
+        )
+        self.sent += 1
+
+
+def _heading(yaw: float) -> float:
+    """Return a yaw from the field's x axis, which points east, as one from north, clockwise, in [-pi, pi)."""
+    return (math.pi / 2.0 - yaw + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _connect(options: BridgeOptions) -> tuple[Any, Any]:
+    """Return pymavlink's dialect and a connection."""
+    os.environ.setdefault("MAVLINK20", "1")
+    try:
+        from pymavlink import mavutil  # noqa: PLC0415 - an extra that few users need
+    except ImportError:
+        raise UsageError("the bridge needs the package pymavlink: pip install 'eia-sec[mavlink]'.") from None
+    try:
+        wire = mavutil.mavlink_connection(
+            options.autopilot, source_system=options.system, source_component=ONBOARD, dialect="common"
+        )
+    except (OSError, ValueError, IndexError) as error:
+        raise EndpointError(f"no connection to the autopilot at {options.autopilot!r}: {error}.") from error
+    return mavutil.mavlink, wire

@@ -1,0 +1,212 @@
+"""The MAVLink bridge against an autopilot that keeps the protocol's rules, over UDP on loopback."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import Envelope, PoseMessage, SetpointMessage
+from eia_sec.deploy.flight.mavlink import CLIMB, MASK, STOP_SECONDS, BridgeOptions, MavlinkBridge
+from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.rollout.farm_files.projection import TangentPlane
+from tests.deploy.flight.air import Air, Clock
+from tests.deploy.flight.autopilot import FakeAutopilot, M, free_port
+
+RUN, UAV, AGENT = "run", "uav", "monitoring_0"
+PERIOD = 0.05
+
+
+class Flight:
+    """A node that sends set-points at 10 Hz, a bridge and an autopilot, all by one clock."""
+
+    def __init__(self, kind="px4", origin=None, height=20.0):
+        self.clock, self.air, port = Clock(), Air(), free_port()
+        self._out = self.air.publish(keys.SETPOINT.key(RUN, vehicle=UAV))
+        self._in = self.air.subscribe(keys.POSE.key(RUN, vehicle=UAV), 1000)
+        self.link = VehicleLink(self.air, RUN, UAV, AGENT, (10.0, 10.0), self.clock, self.clock)
+        local = None if origin is not None else (100.0, 50.0)
+        options = BridgeOptions(f"udpin:127.0.0.1:{port}", local=local)
+        self.bridge = MavlinkBridge(self.link, options, self.clock)
+        self.autopilot = FakeAutopilot(port, self.clock, kind, origin, height)
+        self.velocity, self.node, self._number = (0.0, 0.0), True, 0
+        self.poses: list[PoseMessage] = []
+
+    def pass_time(self, seconds):
+        """Let time pass."""
+        for _ in range(round(seconds / PERIOD)):
+            self.clock.now += PERIOD
+            self._number += 1
+            if self.node and self._number % 2:
+                message = SetpointMessage(
+                    *(AGENT, self.velocity, (), 20.0, 0.0, (0.0, 0.0), False, "", 1, self._number, 0.5, 1, 0.0)
+                )
+                self._out.put(message.encode(), Envelope("flight", "main", 1, self._number).encode())
+            self.autopilot.turn()
+            self.bridge.turn()
+            self.poses += [PoseMessage.decode(sample.payload) for sample in self._in.drain()]
+
+    def close(self):
+        """Close both ends."""
+        self.bridge.close()
+        self.autopilot.close()
+
+
+@pytest.fixture
+def flight():
+    """A flight with PX4 that is armed and in Offboard."""
+    found = Flight()
+    found.pass_time(2.0)
+    found.autopilot.armed = True
+    assert found.autopilot.pilot_sets_mode("OFFBOARD")
+    yield found
+    found.close()
+
+
+def test_velocities_fly_east_and_north_at_the_height_of_the_type():
+    """The field's x is east and y is north, the height is reached and held, and the nose points east."""
+    flight = Flight(height=17.0)
+    flight.pass_time(2.0)
+    flight.autopilot.armed = True
+    assert flight.autopilot.pilot_sets_mode("OFFBOARD")
+    flight.velocity = (4.0, -1.5)
+    flight.pass_time(1.0)
+    assert -flight.autopilot.velocity[2] == pytest.approx(CLIMB)
+    flight.pass_time(9.0)
+    north, east, down = flight.autopilot.velocity
+    assert (east, north) == pytest.approx((4.0, -1.5), abs=1e-5)
+    assert down == pytest.approx(0.0, abs=0.02)
+    assert -flight.autopilot.place[2] == pytest.approx(20.0, abs=0.1)
+    assert flight.autopilot.yaw == pytest.approx(math.pi / 2)
+    assert flight.autopilot.rejected == []
+    pose = flight.poses[-1]
+    north, east, down = flight.autopilot.place
+    assert pose.place == pytest.approx((100.0 + east, 50.0 + north), abs=1e-3)
+    assert pose.velocity == pytest.approx((4.0, -1.5), abs=1e-5)
+    assert pose.height == pytest.approx(-down, abs=1e-3)
+    flight.close()
+
+
+def test_the_mask_lets_velocity_and_yaw_count():
+    """Its bits are those of the message's definition."""
+    ignored = ("X", "Y", "Z", "AX", "AY", "AZ", "YAW_RATE")
+    assert sum(getattr(M, f"POSITION_TARGET_TYPEMASK_{name}_IGNORE") for name in ignored) == MASK
+
+
+def test_arming_and_modes_stay_the_pilots(flight):
+    """The bridge streams in any mode, commands none, and the vehicle moves only where the pilot lets it."""
+    flight.velocity = (3.0, 0.0)
+    flight.autopilot.armed = False
+    flight.pass_time(2.0)
+    assert flight.autopilot.velocity == [0.0, 0.0, 0.0]
+    flight.autopilot.armed = True
+    assert flight.autopilot.pilot_sets_mode("POSCTL")
+    flight.pass_time(2.0)
+    assert flight.autopilot.velocity == [0.0, 0.0, 0.0]
+    assert (flight.bridge.mode, flight.bridge.armed) == ("POSCTL", True)
+    assert flight.autopilot.pilot_sets_mode("OFFBOARD")
+    flight.pass_time(2.0)
+    assert flight.autopilot.velocity[1] == pytest.approx(3.0)
+    assert set(flight.autopilot.commands) <= {M.MAV_CMD_SET_MESSAGE_INTERVAL}
+
+
+def test_offboard_needs_the_stream_before():
+    """Without a flight node there is none, so the autopilot refuses the pilot's switch."""
+    flight = Flight()
+    flight.node = False
+    flight.pass_time(3.0)
+    assert flight.bridge.sent == 0
+    assert not flight.autopilot.pilot_sets_mode("OFFBOARD")
+    flight.node = True
+    flight.pass_time(0.5)
+    assert not flight.autopilot.pilot_sets_mode("OFFBOARD")
+    flight.pass_time(1.0)
+    assert flight.autopilot.pilot_sets_mode("OFFBOARD")
+    flight.close()
+
+
+def test_a_node_that_is_silent_stops_the_vehicle_then_the_stream(flight):
+    """Hover within the validity, after STOP_SECONDS the autopilot's own failsafe; a node that is back flies nothing."""
+    flight.velocity = (3.0, 0.0)
+    flight.pass_time(3.0)
+    flight.node = False
+    flight.pass_time(0.4)
+    assert flight.autopilot.velocity[1] == pytest.approx(3.0)
+    flight.pass_time(1.0)
+    assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert flight.autopilot.mode == "OFFBOARD"
+    flight.pass_time(STOP_SECONDS)
+    sent = flight.bridge.sent
+    assert (flight.autopilot.mode, flight.autopilot.failsafes) == ("LOITER", 1)
+    flight.pass_time(2.0)
+    assert flight.bridge.sent == sent
+    flight.node = True
+    flight.pass_time(2.0)
+    assert flight.bridge.sent > sent
+    assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert flight.link.lapses == 1
+
+
+def test_a_bridge_that_dies_leaves_the_vehicle_to_the_autopilot(flight):
+    """Its stream ends at once, and the autopilot loiters."""
+    flight.velocity = (3.0, 0.0)
+    flight.pass_time(3.0)
+    flight.bridge.close()
+    for _ in range(40):
+        flight.clock.now += PERIOD
+        flight.autopilot.turn()
+    assert (flight.autopilot.mode, flight.autopilot.failsafes) == ("LOITER", 1)
+    assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_poses_that_are_frozen_are_not_told(flight):
+    """A position whose time does not go on is none, so the flight node notices."""
+    before = len(flight.poses)
+    flight.pass_time(1.0)
+    assert len(flight.poses) > before
+    flight.autopilot.frozen = True
+    flight.pass_time(PERIOD)
+    before = len(flight.poses)
+    flight.pass_time(1.0)
+    assert len(flight.poses) == before
+    assert flight.bridge.frozen >= 15
+
+
+def test_ardupilot_is_asked_for_positions_and_flies_in_guided():
+    """Its stream of positions begins with the request; Guided stops by itself when set-points end."""
+    flight = Flight("ardupilot")
+    flight.pass_time(1.0)
+    flight.autopilot.armed = True
+    assert flight.autopilot.pilot_sets_mode("GUIDED")
+    flight.velocity = (0.0, 2.0)
+    flight.pass_time(3.0)
+    assert flight.autopilot.velocity[0] == pytest.approx(2.0)
+    assert flight.poses
+    assert flight.bridge.mode == "GUIDED"
+    flight.node = False
+    flight.pass_time(STOP_SECONDS + 4.0)
+    assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    flight.close()
+
+
+def test_latitude_and_longitude_are_told_as_they_are():
+    """The flight node turns them into metres; MAVLink's degrees are exact to a centimetre."""
+    origin = TangentPlane(7.05, 51.02)
+    flight = Flight(origin=origin)
+    flight.autopilot.place[:2] = [80.0, 120.0]
+    flight.pass_time(1.0)
+    pose = flight.poses[-1]
+    latitude, longitude = pose.place
+    metres = origin.to_metres(np.array([[longitude, latitude]]))[0, :2]
+    assert pose.geodetic
+    np.testing.assert_allclose(metres, (120.0, 80.0), atol=0.02)
+    flight.close()
+
+
+def test_what_another_system_says_is_ignored():
+    """Only the vehicle's own system tells where it is."""
+    flight = Flight()
+    flight.autopilot._wire.mav.srcSystem = 9
+    flight.pass_time(1.0)
+    assert (flight.poses, flight.bridge.mode) == ([], "")
+    flight.close()
