@@ -213,6 +213,8 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "time from a pose's arrival to the set-point after it: median, p99 and maximum of the newest 1,000",
         ),
         Metric("age/*", "ms", "age of the pose when its set-point was made, by both clocks; likewise"),
+        Metric("recorded", "messages", "messages in the flight's record, with `--record`"),
+        Metric("unrecorded", "messages", "messages that came after the record had ended, likewise"),
         Metric("vehicles/*/agent", "", "the agent that flies the vehicle; of at most 16 vehicles, hovering ones first"),
         Metric("vehicles/*/hovers", "set-points", "set-points that command it to hover"),
         Metric("vehicles/*/refused", "poses", "poses not used"),

@@ -14,6 +14,7 @@ from eia_sec.common.transport.admission import admission
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.flight.pilot import Pilot
+from eia_sec.deploy.flight.record import FlightRecord
 
 WAITING: Final = 16
 """Poses of one vehicle that wait for the next period; the oldest are dropped."""
@@ -52,13 +53,14 @@ class FlightNode:
         options: run, name and rate.
         pilot: decides.
         bus: the control lane.
+        record: where the flight is noted, if anywhere.
 
     Attributes:
         overruns: periods that were skipped because the previous one took too long.
     """
 
-    def __init__(self, options: NodeOptions, pilot: Pilot, bus: Bus) -> None:
-        self._options, self._pilot = options, pilot
+    def __init__(self, options: NodeOptions, pilot: Pilot, bus: Bus, record: FlightRecord | None = None) -> None:
+        self._options, self._pilot, self._record = options, pilot, record
         run, vehicles = options.run, pilot.vehicles
         self._incoming = {name: bus.subscribe(keys.POSE.key(run, vehicle=name), WAITING) for name in vehicles}
         flown = [name for name, vehicle in vehicles.items() if vehicle.flown]
@@ -95,8 +97,13 @@ class FlightNode:
         """Process one period."""
         for vehicle, incoming in self._incoming.items():
             for sample in incoming.drain():
-                self._pilot.offer(vehicle, sample.payload, sample.attachment, time.time())
-        self._send(self._pilot.decide(time.time()))
+                if self._pilot.offer(vehicle, sample.payload, sample.attachment, time.time()):
+                    self._note_pose(vehicle)
+        before = self._pilot.map.begun, self._pilot.map.steps
+        setpoints = self._pilot.decide(time.time())
+        if self._record is not None and before != (self._pilot.map.begun, self._pilot.map.steps):
+            self._record.farm(self._pilot.map.farm, time.time())
+        self._send(setpoints)
         if time.monotonic() - self._reported >= REPORT_SECONDS:
             self._report()
 
@@ -104,6 +111,13 @@ class FlightNode:
         for vehicle, message in setpoints.items():
             envelope = Envelope("flight", self._options.name, self._options.start, message.period)
             self._outgoing[vehicle].put(message.encode(), envelope.encode())
+            if self._record is not None:
+                self._record.setpoint(vehicle, message, time.time())
+
+    def _note_pose(self, vehicle: str) -> None:
+        own = self._pilot.vehicles[vehicle]
+        if self._record is not None and own.newest is not None:
+            self._record.pose(vehicle, own.newest, own.raw, time.time())
 
     def _report(self) -> None:
         self._reported = time.monotonic()
@@ -111,6 +125,12 @@ class FlightNode:
         if self._options.listens is not None:
             crowd = admission(self._options.listens)
             values |= {**crowd.metrics(), "alarms": [*values["alarms"], *crowd.alarms()]}
+        if self._record is not None:
+            values |= {
+                "recorded": self._record.written,
+                "unrecorded": self._record.lost,
+                "alarms": [*values["alarms"], *self._record.alarms()],
+            }
         self._presence.report(values)
         self._say(values["alarms"])
 

@@ -78,6 +78,7 @@ class Vehicle:
         flown: whether this node flies it.
         newest: its newest pose that is used.
         place: the last place that is trusted, m.
+        raw: the newest place, trusted or not, m.
         began: when the newest pose came, by the pilot's clock, s.
         arrived: the same in seconds since 1970.
         answered: whether a set-point has followed it.
@@ -97,6 +98,7 @@ class Vehicle:
     flown: bool = True
     newest: PoseMessage | None = None
     place: tuple[float, float] | None = None
+    raw: tuple[float, float] = (0.0, 0.0)
     began: float = 0.0
     arrived: float = 0.0
     answered: bool = True
@@ -109,7 +111,6 @@ class Vehicle:
     lost: bool = False
     acceleration: tuple[float, float] = (0.0, 0.0)
     _mark: tuple[int, int] = (0, 0)
-    _raw: tuple[float, float] = (0.0, 0.0)
     _settled: int = 0
     _jump: float = 0.0
     _complaint: str = ""
@@ -137,7 +138,7 @@ class Vehicle:
         self.missed += max(0, sender.sequence - before - 1) if sender.incarnation == start else 0
         self._mark, self._complaint = (sender.incarnation, sender.sequence), ""
         self._compare(message, raw, field_)
-        self.newest, self._raw, self.began, self.arrived, self.answered = message, raw, began, now, False
+        self.newest, self.raw, self.began, self.arrived, self.answered = message, raw, began, now, False
         if message.stamp >= self._settled and field_.outside(raw) <= OUTSIDE:
             self.place = raw
         for item, stamp in zip(message.served.tolist(), message.served_stamp.tolist(), strict=True):
@@ -197,7 +198,7 @@ class Vehicle:
             self.acceleration = _pair(message.acceleration)
             return
         seconds = max(0.0, (message.stamp - self.newest.stamp) / 1e6)
-        way = math.dist(raw, self._raw)
+        way = math.dist(raw, self.raw)
         # A simulator moves by a whole step at once, and a receiver corrects itself by as much.
         if way > field_.fastest * (seconds + field_.config.world.step_seconds):
             self.jumps += 1
@@ -220,7 +221,7 @@ class Vehicle:
             found = "missing", "no pose has come yet"
         elif late:
             found = "late", f"no pose for {max(now - self.arrived, now - pose.stamp / 1e6):.1f} s"
-        elif (over := field_.outside(self._raw)) > OUTSIDE:
+        elif (over := field_.outside(self.raw)) > OUTSIDE:
             found = "field", f"it is {over:.0f} m outside the field; is it another one's?"
         elif pose.stamp < self._settled:
             found = "jump", f"its pose jumped by {self._jump:.0f} m"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config.files import to_toml
@@ -194,7 +195,8 @@ def test_of_two_nodes_one_flies_and_the_other_takes_over_when_it_is_killed(tmp_p
 
 def test_the_simulator_command_flies_over_the_path(tmp_path: Path) -> None:
     """`eia-sec simulator` flies the episode that `eia-sec evaluate` would fly, and says how long decisions took."""
-    node = Node(tmp_path, TINY, "--lockstep", "--farm", "1001")
+    record = tmp_path / "flight.mcap"
+    node = Node(tmp_path, TINY, "--lockstep", "--farm", "1001", "--record", str(record))
     command = ["simulator", "--config", str(node.config), "--run", RUN, "--connect", str(node.endpoint), "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "eia_sec.deploy.cli", *command, "--farm", "1001"],
@@ -202,13 +204,21 @@ def test_the_simulator_command_flies_over_the_path(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    node.close()
+    assert node.process.wait(SECONDS) == 0
     assert done.returncode == 0, done.stderr + node.log.read_text()
     found = json.loads(done.stdout)
     wanted = evaluate(FARM, ActorPolicy(node.actors), [1001], 1, name="x").total
     assert (found["steps"], found["refused"]) == (FARM.world.steps, 0)
     assert found["reward"] == pytest.approx(wanted.reward, rel=1e-12)
     assert 0 < found["round_trip_ms"]["median"] <= found["round_trip_ms"]["most"]
+    with record.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = {summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()}
+    assert counts["/farm/map"] == FARM.world.steps + 1
+    assert {topic.rsplit("/", 1)[1] for topic in counts} == {"map", "tf", "pose", "setpoint"}
+    assert counts["/tf"] == sum(n for topic, n in counts.items() if topic.endswith("/pose"))
 
 
 def test_the_node_publishes_its_latencies_and_ends_with_hover(tmp_path: Path) -> None:
@@ -235,5 +245,6 @@ def test_the_node_publishes_its_latencies_and_ends_with_hover(tmp_path: Path) ->
         node.close()
     values = reports[-1].values
     assert undeclared("flight", values) == []
-    assert {metric.name.split("/")[0] for metric in METRICS["flight"]} == set(values)
+    with_record = {"recorded", "unrecorded"}
+    assert {metric.name.split("/")[0] for metric in METRICS["flight"]} - with_record == set(values)
     assert 0 < values["latency"]["median"] <= values["latency"]["most"]

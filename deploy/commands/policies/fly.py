@@ -1,12 +1,14 @@
 """`eia-sec fly`: a node that keeps the farm's map from vehicles' poses, and sends set-points of a trained policy."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
-from eia_sec.common.config import FarmConfig
+from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.checks import positive, within
-from eia_sec.common.config.files import from_toml
+from eia_sec.common.config.files import from_toml, to_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.farm import farm_team, require_farm
@@ -22,6 +24,7 @@ from eia_sec.deploy.flight.farm_map import FarmMap, team_vehicles
 from eia_sec.deploy.flight.node import FlightNode, NodeOptions
 from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
+from eia_sec.deploy.flight.record import FlightRecord
 from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.options import parse
@@ -70,6 +73,8 @@ class FlyArguments:
     """Oldest pose that is used, and largest difference between the vehicle's clock and this machine's, seconds."""
     lockstep: bool = False
     """Begin each step when all vehicles have flown the one before instead of by the clock; for `eia-sec simulator`."""
+    record: Path | None = None
+    """MCAP file for poses, set-points, reasons and the farm's map, which Foxglove opens."""
     patience: float = 10.0
     """Seconds to wait for a listener at the endpoint."""
     seconds: float | None = None
@@ -97,14 +102,16 @@ def command(arguments: Sequence[str]) -> int:
     stop.install()
     if not options.connect:
         endpoint.require_private(options.insecure)
-    with (
-        Bus.connect(endpoint, "control", options.patience, lambda: not stop)
-        if options.connect
-        else Bus.listen(endpoint, "control")
-    ) as bus:
+    with ExitStack() as opened:
+        record = opened.enter_context(make_record(options, pilot)) if options.record is not None else None
+        bus = opened.enter_context(
+            Bus.connect(endpoint, "control", options.patience, lambda: not stop)
+            if options.connect
+            else Bus.listen(endpoint, "control")
+        )
         listens = None if options.connect else endpoint
         how = NodeOptions(options.run, options.name, start, options.rate, options.seconds, listens)
-        node = FlightNode(how, pilot, bus)
+        node = FlightNode(how, pilot, bus, record)
         flown = sum(vehicle.flown for vehicle in pilot.vehicles.values())
         log(f"flying {flown} vehicles of run {options.run} at {options.rate:g} set-points a second.")
         node.run(stop)
@@ -130,6 +137,19 @@ def make_pilot(options: FlyArguments, start: int) -> Pilot:
     limits = Field(farm, origin_of(options.origin), options.max_age)
     how = PilotOptions(options.name, start, options.validity, options.lockstep)
     return Pilot(decider, FarmMap(farm, options.farm), vehicles, limits, how)
+
+
+def make_record(options: FlyArguments, pilot: Pilot) -> FlightRecord:
+    """Begin a flight's record; raise UsageError when that is impossible."""
+    config = pilot.map.farm.config
+    about = {
+        "policy": options.policy or str(options.run_dir),
+        "farm": str(options.farm),
+        "run": options.run,
+        "node": options.name,
+        "version": version("eia-sec"),
+    }
+    return FlightRecord(options.record or Path(), about, to_toml(RunConfig(farm=config)), config)
 
 
 def make_decider(options: FlyArguments, farm: FarmConfig) -> Decider:

@@ -11,6 +11,7 @@ import os
 import socket
 
 os.environ.setdefault("MAVLINK20", "1")
+import numpy as np
 from pymavlink import mavutil
 
 M = mavutil.mavlink
@@ -120,8 +121,6 @@ class FakeAutopilot:
         if self._asked:
             self._wire.mav.local_position_ned_send(self._stamp, *self.place, *self.velocity)
         if self._asked and self._origin is not None:
-            import numpy as np  # noqa: PLC0415
-
             longitude, latitude = self._origin.to_degrees(np.array([[self.place[1], self.place[0]]]))[0]
             height, speeds = int(-1e3 * self.place[2]), [int(100 * speed) for speed in self.velocity]
             self._wire.mav.global_position_int_send(
