@@ -18,6 +18,9 @@ a sample is tanh(m + s n) with standard normal n. Without noise, both heads comp
 A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
 of each branch. Its noise-free action is the legal option with the largest logit, and `eia_sec.common.actions.sampling`
 samples.
+
+Networks of a plug-in (`eia_sec.common.modules`) stand in place of perceptrons; their parameters are rows of the same
+arrays, their outputs mean the same.
 """
 
 import hashlib
@@ -29,6 +32,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from eia_sec.common.actions.sampling import best_options, sample_options, sample_squashed
+from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.gru import Memory, next_state, unit_shapes
 from eia_sec.common.seeds import stream
@@ -50,9 +54,32 @@ def actor_outputs(group: GroupSpec, head: Head) -> int:
     return group.options or head_outputs(group.action_size, head)
 
 
+def actor_parameters(
+    group: GroupSpec, hidden: int, head: Head, memory: Memory = "none", module: NetworkConfig | None = None
+) -> int:
+    """Return P, the length of the flat parameters of one of a type's actors.
+
+    Args:
+        group: the type.
+        hidden: width of a perceptron's hidden layers.
+        head: kind of the last layer.
+        memory: kind of a perceptron's memory.
+        module: options of a plug-in's network; None for perceptrons.
+
+    Raises:
+        PluginError: the plug-in's network cannot be used.
+    """
+    outputs = actor_outputs(group, head)
+    if module is None:
+        return parameter_count(group.observation_size, hidden, outputs, memory)
+    from eia_sec.common.modules import flat_size  # noqa: PLC0415  (loads torch, which perceptrons here do without)
+
+    return flat_size(module, group.seen, outputs)
+
+
 def can_fly(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
     """Return whether the actors of a type [n_v or 1, P] can fly another team's type; adapters' numbers may differ."""
-    return own.observation_size == other.observation_size and acts_alike(own, other, flat)
+    return (own.observation_size, own.image) == (other.observation_size, other.image) and acts_alike(own, other, flat)
 
 
 def acts_alike(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
@@ -139,6 +166,8 @@ class TeamActors:
         flat: for each type, [n_v, P_v] or [1, P_v] float32, C-contiguous.
         head: kind of the last layer.
         memory: kind of memory.
+        module: options of the plug-in's network that the actors are, for which `hidden` has no meaning; None for
+            perceptrons.
     """
 
     team: TeamSpec
@@ -146,13 +175,16 @@ class TeamActors:
     flat: tuple[Float32, ...]
     head: Head = "deterministic"
     memory: Memory = "none"
+    module: NetworkConfig | None = None
 
     def __post_init__(self) -> None:
         """Raise SchemaError unless every array has the team's shape and is finite."""
+        if self.module is not None and self.memory != "none":
+            raise SchemaError(f"actors of the network {self.module.name} have no memory.")
         if len(self.flat) != len(self.team.groups):
             raise SchemaError(f"actors for {len(self.flat)} types given, the team has {len(self.team.groups)}.")
         for group, flat in zip(self.team.groups, self.flat, strict=True):
-            size = parameter_count(group.observation_size, self.hidden, actor_outputs(group, self.head), self.memory)
+            size = actor_parameters(group, self.hidden, self.head, self.memory, self.module)
             shapes = (group.count, size), (1, size)
             if flat.shape not in shapes or flat.dtype != np.float32 or not flat.flags.c_contiguous:
                 raise SchemaError(
@@ -196,8 +228,8 @@ class TeamActors:
         return self.head == "gaussian" or all(group.choices for group in self.team.groups)
 
     def noise_free(self) -> "TeamActors":
-        """Return actors that act as these do without noise; Gaussian heads become deterministic."""
-        if self.head == "deterministic":
+        """Return actors that act as these do without noise; Gaussian heads of perceptrons become deterministic."""
+        if self.head == "deterministic" or self.module is not None:
             return self
         parts = []
         for group, flat in zip(self.team.groups, self.flat, strict=True):
@@ -297,6 +329,9 @@ class TeamActors:
             SchemaError: the state does not fit the actors.
         """
         self._check_state(state, len(observations))
+        if self.module is not None:
+            yield from self._module_outputs(self.module, observations)
+            return
         own = zip(self._layers, self.team.agent_slices(), self.team.split_observations(observations), strict=True)
         for group, (layers, agents, rows) in zip(self.team.groups, own, strict=True):
             w1, b1, *middle, w3, b3 = layers
@@ -310,6 +345,17 @@ class TeamActors:
                 h = _remembered(h, state[:, agents], middle, shared=shared)
             found = np.matmul(h, w3) + b3[:, None]
             yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
+
+    def _module_outputs(
+        self, module: NetworkConfig, observations: Float32
+    ) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
+        """Yield what `outputs` does, for networks of a plug-in."""
+        from eia_sec.common.modules import outputs_of  # noqa: PLC0415  (loads torch, which perceptrons here do without)
+
+        for group, flat, rows in zip(
+            self.team.groups, self.flat, self.team.split_observations(observations), strict=True
+        ):
+            yield group, rows, outputs_of(module, group.seen, actor_outputs(group, self.head), flat, rows)
 
     @cached_property
     def _layers(self) -> list[list[Float32]]:

@@ -1,4 +1,4 @@
-"""Plug-ins: algorithms, heuristics, environments and callbacks from a user's own package.
+"""Plug-ins: algorithms, networks, heuristics, environments and callbacks from a user's own package.
 
     # mytask/__init__.py
     from eia_sec import Plugin, PluginAlgorithm
@@ -17,17 +17,19 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from importlib.metadata import entry_points
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar, cast, get_args
 
 import numpy as np
 
 from eia_sec.common.callbacks import Callback
 from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, AlgorithmConfig, IppoConfig
+from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS, NetworkConfig
 from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.plugin_names import LOADED, PluginNames
 from eia_sec.common.errors import PluginError
 from eia_sec.common.names import is_name
 
+Options = TypeVar("Options", bound=AlgorithmConfig | NetworkConfig)
 GROUP: Final = "eia_sec.plugins"
 """Group of entry points that name plug-ins."""
 MEMBER: Final = "plugin"
@@ -48,18 +50,40 @@ class PluginAlgorithm:
     options: type[AlgorithmConfig] = IppoConfig
 
 
+Reads = Literal["vector", "image"]
+"""What a network reads: vectors of numbers, or images of bytes."""
+
+
+@dataclass(frozen=True)
+class PluginNetwork:
+    """A network of a plug-in, for actors and value functions that learn on policy.
+
+    Attributes:
+        module: module:name of a class derived from `torch.nn.Module`, or of a function that makes such a module.
+            `eia_sec.common.modules` says how it is made and called.
+        options: dataclass of its options, derived from `NetworkConfig`.
+        reads: what it reads: "vector", "image", or both.
+    """
+
+    module: str
+    options: type[NetworkConfig] = NetworkConfig
+    reads: Reads | Sequence[Reads] = "vector"
+
+
 @dataclass(frozen=True)
 class Plugin:
     """What a user's package adds.
 
     Attributes:
         algorithms: by `algorithm.name`.
+        networks: by `algorithm.network.name`.
         heuristics: module:name of a policy's class by the name that `--policy` takes, see docs/how-to/plugins.md.
         environments: module:name of a PettingZoo parallel environment by the name that `--env` takes.
         callbacks: module:name of classes derived from `Callback`; the learner makes and calls one of each.
     """
 
     algorithms: Mapping[str, PluginAlgorithm] = field(default_factory=dict)
+    networks: Mapping[str, PluginNetwork] = field(default_factory=dict)
     heuristics: Mapping[str, str] = field(default_factory=dict)
     environments: Mapping[str, str] = field(default_factory=dict)
     callbacks: Sequence[str] = ()
@@ -86,8 +110,10 @@ def load(name: str) -> None:
             "its module."
         )
     _check_names(name, found)
-    configurations = {own: _options(name, own, each) for own, each in found.algorithms.items()}
-    ALGORITHM_CONFIGS.update(configurations)
+    algorithms = {own: _algorithm_options(name, own, each) for own, each in found.algorithms.items()}
+    networks = {own: _network_options(name, own, each) for own, each in found.networks.items()}
+    ALGORITHM_CONFIGS.update(algorithms)
+    NETWORK_CONFIGS.update(networks)
     _PLUGINS[name] = found
     LOADED.append(name)
 
@@ -218,9 +244,21 @@ def algorithm(name: str) -> tuple[str, type[Any]] | None:
     return None
 
 
-def owners(name: str) -> tuple[str, ...]:
-    """Return the loaded plug-in that an algorithm is of, alone; nothing for one of this package."""
-    return tuple(plugin for plugin, own in _PLUGINS.items() if name in own.algorithms)
+def network(name: str) -> tuple[str, PluginNetwork]:
+    """Return the plug-in of a network, and the network.
+
+    Raises:
+        PluginError: no loaded plug-in has it.
+    """
+    for plugin, own in _PLUGINS.items():
+        if name in own.networks:
+            return plugin, own.networks[name]
+    raise PluginError(f"no loaded plug-in has a network {name}.")
+
+
+def owners(algorithm: str, network: str | None) -> tuple[str, ...]:
+    """Return the loaded plug-ins that an algorithm and a network are of; nothing for those of this package."""
+    return tuple(plugin for plugin, own in _PLUGINS.items() if algorithm in own.algorithms or network in own.networks)
 
 
 def resolve(where: str, what: str) -> Any:
@@ -259,8 +297,8 @@ def _imported(name: str) -> Any:
 
 def _check_names(name: str, found: Plugin) -> None:
     others = {own for each in _PLUGINS.values() for own in (*each.heuristics, *each.environments)}
-    taken = others | {*ALGORITHM_CONFIGS, FARM}
-    for own in (*found.algorithms, *found.heuristics, *found.environments):
+    taken = others | {*ALGORITHM_CONFIGS, *NETWORK_CONFIGS, FARM}
+    for own in (*found.algorithms, *found.networks, *found.heuristics, *found.environments):
         if not isinstance(own, str) or not is_name(own):
             raise PluginError(f"plug-in {name}: {own!r} is no name of 1 to 63 letters, digits, '.', '_' or '-'.")
         if own in taken:
@@ -275,16 +313,28 @@ def _check_names(name: str, found: Plugin) -> None:
                 raise PluginError(f"plug-in {name}: a {what} is named as module:name, not {where!r}.")
 
 
-def _options(plugin: str, name: str, each: PluginAlgorithm) -> type[AlgorithmConfig]:
-    """Return the configuration class of an algorithm, whose `name` is the one it has in the plug-in."""
+def _algorithm_options(plugin: str, name: str, each: PluginAlgorithm) -> type[AlgorithmConfig]:
     what = f"plug-in {plugin}: algorithm {name}"
     if not isinstance(each, PluginAlgorithm):
         raise PluginError(f"{what} is {_type(each)}, and must be an eia_sec.PluginAlgorithm.")
-    options = each.options
-    if not (isinstance(options, type) and issubclass(options, AlgorithmConfig) and is_dataclass(options)):
-        raise PluginError(
-            f"{what}: its options are {_type(options)}, and must be a dataclass derived from IppoConfig or another one."
-        )
+    return _options(what, name, each.options, AlgorithmConfig, "IppoConfig or another one")
+
+
+def _network_options(plugin: str, name: str, each: PluginNetwork) -> type[NetworkConfig]:
+    what = f"plug-in {plugin}: network {name}"
+    if not isinstance(each, PluginNetwork):
+        raise PluginError(f"{what} is {_type(each)}, and must be an eia_sec.PluginNetwork.")
+    if not isinstance(each.module, str) or not each.module.partition(":")[2]:
+        raise PluginError(f"{what}: its module is named as module:name, not {each.module!r}.")
+    if not (each.reads in get_args(Reads) or (each.reads and {*each.reads} <= {*get_args(Reads)})):
+        raise PluginError(f"{what} reads {each.reads!r}, and must read {' or '.join(get_args(Reads))}, or both.")
+    return _options(what, name, each.options, NetworkConfig, "NetworkConfig")
+
+
+def _options(what: str, name: str, options: Any, base: type[Options], wanted: str) -> type[Options]:
+    """Return the class of a plug-in's options, whose `name` is the one that they have in the plug-in."""
+    if not (isinstance(options, type) and issubclass(options, base) and is_dataclass(options)):
+        raise PluginError(f"{what}: its options are {_type(options)}, and must be a dataclass derived from {wanted}.")
     if not options.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # every dataclass has it
         raise PluginError(
             f"{what}: its options {options.__qualname__} must be a frozen dataclass, as those it derives from."
@@ -298,7 +348,7 @@ def _options(plugin: str, name: str, each: PluginAlgorithm) -> type[AlgorithmCon
         frozen=True,
         namespace={"__module__": options.__module__, "__doc__": options.__doc__},
     )
-    return named
+    return cast(type[Options], named)
 
 
 def _has_default(option: Any) -> bool:

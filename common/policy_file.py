@@ -2,7 +2,8 @@
 
 The file is safetensors: eight bytes with the header's length, a JSON header, then the tensors. It has one tensor of
 32- or 16-bit floats for each type: [n_v, P_v], or [1, P_v] where the agents of the type share their parameters. All
-metadata are strings. Loading compares the header with the team and the file's size before it creates an array.
+metadata are strings. Actors that are a plug-in's network name it and its options. Loading compares the header with the
+team and the file's size before it creates an array.
 """
 
 import hashlib
@@ -11,6 +12,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,8 +21,11 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from eia_sec.common.actors import Head, TeamActors, actor_outputs, checked_head, parameter_count
-from eia_sec.common.errors import EiaSecError, PolicyError
+from eia_sec.common import plugins
+from eia_sec.common.actors import Head, TeamActors, actor_parameters, checked_head
+from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS, NetworkConfig
+from eia_sec.common.config.files import read_network
+from eia_sec.common.errors import EiaSecError, PluginError, PolicyError
 from eia_sec.common.gru import Memory, checked_memory
 from eia_sec.common.team import TeamSpec
 
@@ -28,7 +33,7 @@ FORMAT: Final = "eia-sec policy 1"
 MAX_FILE_BYTES: Final = 256 * 2**20
 MAX_HEADER_BYTES: Final = 2**20
 MAX_HIDDEN: Final = 65_536
-RESERVED: Final = ("format", "team", "hidden", "head", "memory", "digest")
+RESERVED: Final = ("format", "team", "hidden", "head", "memory", "network", "digest")
 """Metadata keys that this module writes itself."""
 _ITEM_BYTES: Final = {"F32": 4, "F16": 2}
 
@@ -60,6 +65,7 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
         "hidden": str(actors.hidden),
         "head": actors.head,
         "memory": actors.memory,
+        **({} if actors.module is None else {"network": _described(actors.module)}),
         "digest": _digest(stored),
     }
     names = [group.name for group in actors.team.groups]
@@ -80,6 +86,7 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
 
     Raises:
         PolicyError: the file is missing, truncated, altered, oversized or not a policy.
+        PluginError: its actors are a network of a plug-in that is not loaded or cannot be used.
     """
     data = _read(path)
     try:
@@ -87,7 +94,8 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
         head = checked_head(metadata["head"])
         memory = checked_memory(metadata["memory"])
-        _compare(header, team, hidden, (head, memory), held)
+        module = _network(path, metadata.get("network"))
+        _compare(header, team, hidden, (head, memory, module), held)
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
@@ -95,7 +103,9 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
         if not all(np.isfinite(flat).all() for flat in stored):
             raise PolicyError("its parameters are not finite numbers, because its training diverged")
         flats = tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored)
-        actors = TeamActors(team, hidden, flats, head, memory)
+        actors = TeamActors(team, hidden, flats, head, memory, module)
+    except PluginError:
+        raise
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise PolicyError(f"{path} is not a valid policy file: {reason}.") from error
@@ -130,14 +140,33 @@ def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str], int]:
     return header, metadata, len(data) - 8 - length
 
 
-def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[Head, Memory], held: int) -> None:
+def _described(module: NetworkConfig) -> str:
+    return json.dumps({"plugin": plugins.network(module.name)[0], "options": asdict(module)})
+
+
+def _network(path: Path, text: str | None) -> NetworkConfig | None:
+    """Return the options of the plug-in's network that a file names, or None for perceptrons."""
+    if text is None:
+        return None
+    found = json.loads(text)
+    name, plugin = str(found["options"]["name"])[:80], str(found["plugin"])[:80]
+    if name not in NETWORK_CONFIGS:
+        raise PluginError(
+            f"{path} uses the network {name} of the plug-in {plugin}; add --plugin {plugin} to run its code."
+        )
+    return read_network(found["options"])
+
+
+def _compare(
+    header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[Head, Memory, NetworkConfig | None], held: int
+) -> None:
     """Raise PolicyError unless the header lists this team's tensors and the file holds their bytes."""
     if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
         raise PolicyError("its tensors are not those of its team")
     expected = 0
     for group in team.groups:
         entry = header[group.name]
-        numbers = parameter_count(group.observation_size, hidden, actor_outputs(group, kind[0]), kind[1])
+        numbers = actor_parameters(group, hidden, *kind)
         shapes = [group.count, numbers], [1, numbers]
         if entry["dtype"] not in _ITEM_BYTES or entry["shape"] not in shapes:
             raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shapes[0]}")

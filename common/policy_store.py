@@ -1,6 +1,7 @@
 """A process's copy of the actors, updated by newer parameters and by imitation events."""
 
 from eia_sec.common.actors import TeamActors, checked_head, imitate
+from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.errors import VersionError
 from eia_sec.common.gru import checked_memory
 from eia_sec.common.imitation import ImitationEvent
@@ -14,6 +15,10 @@ class PolicyStore:
     Parameters carry the number of events that they contain. An event that the copy lacks is applied as soon as it
     arrives. If parameters arrive that the learner sent before it knew the event, the event is applied to them as well.
 
+    Args:
+        team: see below.
+        module: options of the plug-in's network that the run trains; None for perceptrons.
+
     Attributes:
         team: the layout that all parameters must have.
         actors: the actors, or None before the first parameters.
@@ -25,8 +30,8 @@ class PolicyStore:
         ignored: messages that were ignored because they were not newer.
     """
 
-    def __init__(self, team: TeamSpec) -> None:
-        self.team = team
+    def __init__(self, team: TeamSpec, module: NetworkConfig | None = None) -> None:
+        self.team, self._module = team, module
         self.actors: TeamActors | None = None
         self.epoch = 0
         self.version = 0
@@ -51,7 +56,7 @@ class PolicyStore:
             return False
         arrays = tuple(flat.copy() for flat in message.flat)
         head, memory = checked_head(message.head), checked_memory(message.memory or "none")
-        actors = TeamActors(self.team, message.hidden, arrays, head, memory)
+        actors = TeamActors(self.team, message.hidden, arrays, head, memory, self._module)
         self.actors, self.epoch, self.version, self.event = actors, message.epoch, message.version, message.event
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()

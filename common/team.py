@@ -7,6 +7,7 @@ agents. Types may differ in observation and action size, so a row is ragged acro
 import hashlib
 import itertools
 import json
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final
@@ -21,6 +22,7 @@ from eia_sec.common.errors import ConfigError, SchemaError
 from eia_sec.common.names import check_name
 
 Float32 = NDArray[np.float32]
+Shape = tuple[int, ...]
 
 MOST_NUMBERS: Final = 65_536
 """Most numbers in one agent's observation or action."""
@@ -45,6 +47,8 @@ class GroupSpec:
         adapters: convert an actor's output to the environment's action, applied in this order.
         choices: number of options of each branch; empty for continuous actions.
         masked: whether the last `options` numbers of an observation say which options are legal (1) or not (0).
+        image: height, width and channels of the image of bytes that an observation is, row by row, but for the mask;
+            empty for a vector.
     """
 
     name: str
@@ -54,9 +58,10 @@ class GroupSpec:
     adapters: tuple[ActionAdapter, ...] = ()
     choices: tuple[int, ...] = ()
     masked: bool = False
+    image: Shape = ()
 
     def __post_init__(self) -> None:
-        """Refuse invalid names, empty types, impossible choices, and adapters that do not fit the sizes."""
+        """Refuse invalid names, empty types, impossible choices or images, and adapters that do not fit the sizes."""
         check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
         within(1, MOST_NUMBERS, observation_size=self.observation_size, action_size=self.action_size)
@@ -66,6 +71,9 @@ class GroupSpec:
             raise ConfigError(f"{len(self.choices)} branches of choices do not fit actions of {self.action_size}.")
         if self.masked and not (self.choices and self.options < self.observation_size):
             raise ConfigError("a mask needs discrete actions, and an observation besides it.")
+        pixels = self.observation_size - (self.options if self.masked else 0)
+        if self.image and (len(self.image) != 3 or min(self.image) < 1 or math.prod(self.image) != pixels):
+            raise ConfigError(f"observations of {pixels} numbers are no image of {list(self.image)}.")
         size = self.action_size
         for adapter in self.adapters:
             adapter.require(self.observation_size, size)
@@ -75,6 +83,11 @@ class GroupSpec:
     def options(self) -> int:
         """Number of options of all branches; 0 for continuous actions."""
         return sum(self.choices)
+
+    @property
+    def seen(self) -> Shape:
+        """The shape of what a network reads: (o_v,) of a vector, or channels, height and width of an image."""
+        return (self.image[2], *self.image[:2]) if self.image else (self.observation_size,)
 
     @property
     def environment_action_size(self) -> int:
@@ -108,6 +121,7 @@ class GroupSpec:
             "adapters": [adapter_to_dict(adapter) for adapter in self.adapters],
             "choices": list(self.choices),
             "masked": self.masked,
+            **({"image": list(self.image)} if self.image else {}),
         }
 
     @classmethod
@@ -124,7 +138,11 @@ class GroupSpec:
         choices, masked = values.pop("choices"), values.pop("masked")
         if type(masked) is not bool or len(choices) > MOST_BRANCHES or any(type(size) is not int for size in choices):
             raise ValueError("choices are not whole numbers, or masked is neither true nor false")
-        return cls(str(values.pop("name")), **values, adapters=adapters, choices=tuple(choices), masked=masked)
+        image = values.pop("image", [])
+        if not isinstance(image, list) or any(type(size) is not int for size in image):
+            raise ValueError("the sizes of an image are not whole numbers")
+        values |= {"adapters": adapters, "choices": tuple(choices), "masked": masked, "image": tuple(image)}
+        return cls(**values | {"name": str(values["name"])})
 
 
 @dataclass(frozen=True)
@@ -163,6 +181,19 @@ class TeamSpec:
     def environment_action_size(self) -> int:
         """Numbers in one row of the environment's actions, after the adapters."""
         return sum(group.count * group.environment_action_size for group in self.groups)
+
+    @cached_property
+    def in_bytes(self) -> bool:
+        """Whether rows of observations are bytes: all types see images."""
+        return all(group.image for group in self.groups)
+
+    @cached_property
+    def seen(self) -> Shape:
+        """The shape of the observations of all agents: numbers of a row, or of images of one size all channels."""
+        if not any(group.image for group in self.groups):
+            return (self.observation_size,)
+        channels = sum(group.count * group.seen[0] for group in self.groups)
+        return (channels, *self.groups[0].seen[1:])
 
     @property
     def agent_names(self) -> tuple[str, ...]:
@@ -251,6 +282,7 @@ def described(team: TeamSpec) -> str:
     groups = []
     for group in team.groups:
         acts = f"{' x '.join(map(str, group.choices))} options" if group.choices else f"{group.action_size} outputs"
+        sees = f"images of {list(group.image)}" if group.image else f"{group.observation_size} inputs"
         parts = [acts, *(["a mask"] if group.masked else []), *(adapter.kind for adapter in group.adapters)]
-        groups.append(f"{group.count} {group.name} agents with {group.observation_size} inputs ({', '.join(parts)})")
+        groups.append(f"{group.count} {group.name} agents with {sees} ({', '.join(parts)})")
     return ", ".join(groups)

@@ -8,7 +8,7 @@ holds the next observation of row t, and a segment may end anywhere, at a chunk'
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +39,28 @@ MOST_INFOS: Final = 32
 """Most numbers of an environment's infos in an episode's summary."""
 
 
+Seen = Float32 | Bits | NDArray[np.uint8]
+"""Observations in rows."""
+
+
+def observation_type(team: TeamSpec, *, rounded: bool) -> np.dtype[Any]:
+    """Return the type of the observations in rows.
+
+    Args:
+        team: the layout of the team.
+        rounded: whether they are bfloat16 numbers where they are no bytes.
+    """
+    return np.dtype(np.uint8 if team.in_bytes else np.uint16 if rounded else np.float32)
+
+
 @dataclass(frozen=True)
 class Rows:
     """Consecutive rows of one or more segments.
 
     Attributes:
-        observation: [R, O] float32, or bfloat16 numbers as uint16 (`eia_sec.common.protocol.bfloat16`) if the run says
-            so (`RunConfig.bfloat16_observations`), which halves messages and memory.
+        observation: [R, O] of the type that `observation_type` says: float32; bfloat16 numbers as uint16
+            (`eia_sec.common.protocol.bfloat16`) if the run says so (`RunConfig.bfloat16_observations`), which halves
+            messages and memory; or bytes where all agents see images.
         action: [R, A] float32 in [-1, 1], or indices of options; zeros where no step follows.
         reward: [R, agents] float32; zeros where no step follows.
         flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.
@@ -56,7 +71,7 @@ class Rows:
             environment's later segments in the same rows begin an episode, and so with a state of 0.
     """
 
-    observation: Float32 | Bits
+    observation: Seen
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]
@@ -89,7 +104,7 @@ class Rows:
         Args:
             team: the layout of the team.
             memory: h, numbers in an actor's state; 0 for actors without memory.
-            rounded: whether observations must be bfloat16 numbers; else they must be float32.
+            rounded: as for `observation_type`.
         """
         rows = self.flag.shape[0] if self.flag.ndim == 1 else -1
         wanted = {
@@ -100,7 +115,8 @@ class Rows:
         if self.log_probability is not None:
             wanted["log_probability"] = (self.log_probability, (rows, team.agents))
         for name, (array, shape) in wanted.items():
-            kind = np.dtype(np.uint16 if rounded and name == "observation" else np.float32)
+            own = observation_type(team, rounded=rounded)
+            kind = own if name == "observation" else np.dtype(np.float32)
             if array.shape != shape or array.dtype != kind:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not {kind}{list(shape)}.")
             # One huge number would spoil Adam's moments for good.
@@ -139,8 +155,10 @@ class Rows:
                 raise SchemaError(f"a {group.name} action is not the index of an option.")
 
 
-def _in_range(array: Float32 | Bits) -> bool:
+def _in_range(array: Seen) -> bool:
     """Return whether all numbers are finite and none is larger than LARGEST."""
+    if array.dtype == np.uint8:
+        return True
     if array.dtype == np.uint16:
         return bfloat16.within(array.view(np.uint16), LARGEST)
     # NaN propagates through min and max, and fails both comparisons.

@@ -89,7 +89,8 @@ def train(
     budget = {name: value for name, value in (("steps", steps), ("episodes", episodes)) if value}
     own: dict[str, Any] = budget | ({} if seed is None else {"seed": seed})
     config = with_values(with_values(chosen, dict(settings or {})), own)
-    used = (*given, *plugins, *plugin_registry.owners(config.algorithm.name))
+    network = None if config.module is None else config.module.name
+    used = (*given, *plugins, *plugin_registry.owners(config.algorithm.name, network))
     config = replace(config, plugins=PluginNames(dict.fromkeys(used)))
     folder = None if run_dir is None else Path(run_dir)
     if not elsewhere:

@@ -37,7 +37,11 @@ from eia_sec.deploy.local.run_directory import RunDirectory
 
 T = TypeVar("T")
 
-SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
+SHORT: Final = {
+    "--env": "--env.name",
+    "--algorithm": "--algorithm.name",
+    "--algorithm.network": "--algorithm.network.name",
+}
 """Short names of options."""
 
 PRESET_HELP: Final = (
@@ -101,6 +105,8 @@ def base_configuration(arguments: Sequence[str]) -> RunConfig:
         config = config.with_environment(name)
     if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
         config = config.with_algorithm(name)
+    if name := _value_of(arguments, "--algorithm.network") or _value_of(arguments, "--algorithm.network.name"):
+        config = config.with_network(name)
     for option in ("episodes", "steps"):
         if value := _value_of(arguments, f"--{option}"):
             config = with_setting(config, f"{option}={value}")

@@ -94,12 +94,13 @@ class _Vectors:
             if name not in observations:
                 continue
             seen = np.asarray(observations[name], np.float32)
-            if seen.shape != part.shape:
+            wanted = group.image if group.image and not group.masked else part.shape
+            if seen.shape != wanted:
                 raise PolicyError(
                     f"the observation of agent {name} has the shape {list(seen.shape)}, and {group.name} agents of "
-                    f"this policy see {list(part.shape)}."
+                    f"this policy see {list(wanted)}."
                 )
-            part[:] = seen
+            part[:] = seen.reshape(-1)
         return np.concatenate(parts)[None]
 
     def actions(self, row: Float32, agents: Observations) -> dict[Any, Any]:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from eia_sec.common.actors import TeamActors, actor_outputs, acts_alike, parameter_count
+from eia_sec.common.actors import TeamActors, actor_outputs, acts_alike, can_fly, parameter_count
 from eia_sec.common.config import OnPolicyConfig, RunConfig
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.presets import preset
@@ -139,13 +139,19 @@ def _begun(
     """
     actors, rows = source.actors, 1 if config.shared else group.count
     outputs = actor_outputs(group, "gaussian")
-    if (actors.hidden, actors.memory) != (config.hidden, config.memory):
+    if actors.module != config.module or actors.memory != config.memory:
+        return None
+    if config.module is None and actors.hidden != config.hidden:
         return None
     for other, flat in zip(actors.team.groups, actors.flat, strict=True):
         if not acts_alike(other, group, flat) or len(flat) not in (1, rows):
             continue
         inputs = _inputs(names, source.observed.get(group.name), group.observation_size, other.observation_size)
         if inputs is None or not (more or len(inputs) == group.observation_size):
+            continue
+        if config.module is not None:
+            if can_fly(other, group, flat):
+                return np.broadcast_to(flat, (rows, flat.shape[1])).copy()
             continue
         if flat.shape[1] != parameter_count(len(inputs), config.hidden, outputs, config.memory):
             continue

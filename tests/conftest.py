@@ -1,10 +1,16 @@
 """What holds for all tests."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from eia_sec.common import plugins
+from eia_sec.common.config import ALGORITHM_CONFIGS
+from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS
+from eia_sec.common.config.plugin_names import LOADED
 
 TESTS = Path(__file__).parent
 WITH_PROCESSES = tuple(
@@ -40,6 +46,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
         if any(folder in folders for folder in WITH_PROCESSES):
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=OUT_OF_TIME))
+
+
+@pytest.fixture
+def nothing_stays_loaded() -> Iterator[None]:
+    """Forget the plug-ins that a test has loaded."""
+    before = dict(ALGORITHM_CONFIGS), dict(NETWORK_CONFIGS)
+    yield
+    plugins._PLUGINS.clear()
+    LOADED.clear()
+    for known, own in zip((ALGORITHM_CONFIGS, NETWORK_CONFIGS), before, strict=True):
+        known.clear()
+        known.update(own)
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

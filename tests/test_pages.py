@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-EXAMPLES = DOCS / "examples" / "mytask"
+EXAMPLES = DOCS / "examples"
 SMALLER = {"150_000": "2_000", "scenarios=50": "scenarios=2"}
 
 

@@ -14,6 +14,7 @@ from eia_sec.common.config.algorithms import (
     OffPolicyConfig,
     OnPolicyConfig,
 )
+from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm import (
     BatteryConfig,
@@ -58,6 +59,7 @@ __all__ = [
     "MappoConfig",
     "MasacConfig",
     "Matd3Config",
+    "NetworkConfig",
     "ObservationConfig",
     "OffPolicyConfig",
     "OnPolicyConfig",

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS
+from eia_sec.common.config.algorithms.network import NetworkConfig, network_named
 from eia_sec.common.config.effect import without_effect
 from eia_sec.common.config.environment import EnvConfig
 from eia_sec.common.config.farm.polygons import MAX_CORNERS
@@ -198,6 +199,19 @@ def method_of(config: RunConfig) -> RunConfig:
     )
 
 
+def read_network(table: Any) -> NetworkConfig:
+    """Return a network's options as a map of plain values holds them, of which `name` is one.
+
+    Raises:
+        ConfigError: there is no such network, or an option does not exist or has an impossible value.
+    """
+    name = table.get("name") if isinstance(table, dict) else None
+    if not isinstance(name, str):
+        raise ConfigError("a network has no name.")
+    found: NetworkConfig = _merge(network_named(NetworkConfig(), name), table, "")
+    return found
+
+
 def format_value(value: Value | Area | Mapping[str, Value]) -> str:
     """Return a field's value as TOML writes it."""
     if isinstance(value, Mapping):
@@ -237,6 +251,8 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
         base = base.with_environment(name)
     if isinstance(name := _name_in(table, "algorithm"), str):
         base = base.with_algorithm(name)
+    if isinstance(name := _name_in(table.get("algorithm"), "network"), str):
+        base = base.with_network(name)
     table = _one_budget(table)
     for section, values in table.items():
         keys = [f"{section}.{key}" for key in values] if isinstance(values, dict) else []
@@ -260,9 +276,9 @@ def _of_this_format(table: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key != _FORMAT_KEY}
 
 
-def _name_in(table: dict[str, Any], section: str) -> Any:
+def _name_in(table: Any, section: str) -> Any:
     """Return the name that a table gives a section; None if it gives none."""
-    found = table.get(section)
+    found = table.get(section) if isinstance(table, dict) else None
     return found.get("name") if isinstance(found, dict) else None
 
 

@@ -12,6 +12,7 @@ from eia_sec.common.config.algorithms import (
     OnPolicyConfig,
     switched,
 )
+from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.config.algorithms.on_policy import Memory
 from eia_sec.common.config.checks import not_negative, positive, within
 from eia_sec.common.config.environment import EnvConfig
@@ -176,6 +177,16 @@ class RunConfig:
         unused = {each: type(getattr(self, each))() for each in OPTIONAL_SECTIONS if each not in algorithm.sections}
         return replace(self, algorithm=algorithm, **unused)
 
+    def with_network(self, name: str) -> "RunConfig":
+        """Return the run with another network, see `OnPolicyConfig.with_network`; off policy there is no other.
+
+        Raises:
+            ConfigError: there is no such network.
+        """
+        if not isinstance(self.algorithm, OnPolicyConfig):
+            return self
+        return replace(self, algorithm=self.algorithm.with_network(name))
+
     def with_environment(self, name: str) -> "RunConfig":
         """Return the run with another environment; maps by type are empty then, because its types are others.
 
@@ -228,6 +239,11 @@ class RunConfig:
     def memory_size(self) -> int:
         """Numbers h in the state of one network with memory; 0 without memory."""
         return self.algorithm.memory_size if isinstance(self.algorithm, OnPolicyConfig) else 0
+
+    @property
+    def module(self) -> NetworkConfig | None:
+        """The options of a plug-in's network; None for the perceptrons of this package."""
+        return self.algorithm.module if isinstance(self.algorithm, OnPolicyConfig) else None
 
     @property
     def imitates(self) -> bool:

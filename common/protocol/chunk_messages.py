@@ -74,7 +74,7 @@ def from_message(
         episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
         on_policy: whether the rows must have log-probabilities; else they must have none.
         memory: numbers in an actor's state; 0 if the rows must have none.
-        rounded: whether observations must be bfloat16 numbers; else they must be float32.
+        rounded: as for `eia_sec.common.transitions.observation_type`.
 
     Raises:
         VersionError: when it is for another team.

@@ -3,13 +3,13 @@
 import math
 from typing import Final
 
-from eia_sec.common.actors import actor_outputs, parameter_count
+from eia_sec.common.actors import actor_parameters
 from eia_sec.common.config import RunConfig
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.protocol.frame import MAX_FRAME
 from eia_sec.common.team import TeamSpec
-from eia_sec.common.transitions import MOST_INFOS
+from eia_sec.common.transitions import MOST_INFOS, observation_type
 
 ROOM: Final = 2**20
 """Bytes of a frame reserved for everything but rows and parameters."""
@@ -21,7 +21,8 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of a worker's largest chunk, in which episodes are as short as the environment allows."""
     steps, team = config.rollout.chunk_steps, environment.team
     ends = math.ceil(steps / environment.episode_steps[0])
-    observation = team.observation_size * (2 if config.bfloat16_observations else 4)
+    kind = observation_type(team, rounded=config.bfloat16_observations)
+    observation = team.observation_size * kind.itemsize
     row = observation + 4 * (team.action_size + team.agents * (2 if config.learns_on_policy else 1)) + 1
     episodes = config.rollout.environments * ends
     state = 4 * config.rollout.environments * team.agents * config.memory_size
@@ -38,9 +39,8 @@ def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
     """Return the most bytes that all actors can take."""
-    sizes = ((g.count, g.observation_size, actor_outputs(g, "gaussian")) for g in team.groups)
-    hidden, memory = config.algorithm.hidden, config.memory
-    return 4 * sum(count * parameter_count(inputs, hidden, outputs, memory) for count, inputs, outputs in sizes)
+    hidden, memory, module = config.algorithm.hidden, config.memory, config.module
+    return 4 * sum(g.count * actor_parameters(g, hidden, "gaussian", memory, module) for g in team.groups)
 
 
 def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
@@ -58,9 +58,12 @@ def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
             "lower rollout.chunk_steps or rollout.environments."
         )
     if actors > most:
+        kind, remedy = f"algorithm.hidden {config.algorithm.hidden}", "lower algorithm.hidden"
+        if config.module is not None:
+            kind, remedy = f"the network {config.module.name}", "make it smaller"
         raise ConfigError(
-            f"{team.agents} actors with algorithm.hidden {config.algorithm.hidden} take {actors / 2**20:.0f} MiB, but "
-            f"a message holds at most {most // 2**20} MiB; lower algorithm.hidden."
+            f"{team.agents} actors with {kind} take {actors / 2**20:.0f} MiB, but a message holds at most "
+            f"{most // 2**20} MiB; {remedy}."
         )
     if flights > most:
         raise ConfigError(

@@ -53,7 +53,7 @@ class ChunkMessage(Message):
     team: str
     version: int
     produced: int
-    observation: Float32 | Bits
+    observation: Float32 | Bits | NDArray[np.uint8]
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]

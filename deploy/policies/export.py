@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from safetensors.numpy import save
 
+from eia_sec.common import plugins
 from eia_sec.common.actions.descriptions import ADAPTERS
 from eia_sec.common.actors import TeamActors, actor_outputs, parameter_views
-from eia_sec.common.config import RunConfig
+from eia_sec.common.config import NetworkConfig, RunConfig
 from eia_sec.common.config.files import digest
 from eia_sec.common.environment import TensorNames
 from eia_sec.common.errors import PolicyError
@@ -41,6 +42,8 @@ OPSET: Final = 13
 """Operator set of the models; every onnxruntime since 2020 supports it."""
 IR_VERSION: Final = 7
 """ONNX file version for this operator set."""
+MODULES: Final = "eia-sec plug-in actors 1"
+"""Format of the description of a plug-in's networks."""
 
 
 def agent_names(actors: TeamActors) -> list[str]:
@@ -56,6 +59,8 @@ def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
     A last layer has as many outputs as the action numbers, or one for each option. Agents that share their parameters
     have equal layers.
     """
+    if actors.module is not None:
+        return _module_layers(actors, actors.module)
     agents, plain = [], actors.noise_free()
     for group, flat in zip(plain.team.groups, plain.flat, strict=True):
         sizes = group.observation_size, plain.hidden, actor_outputs(group, plain.head)
@@ -63,6 +68,18 @@ def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
         rows = range(group.count) if len(flat) > 1 else [0] * group.count
         agents += [{name: view[row].copy() for name, view in named.items()} for row in rows]
     return agents
+
+
+def _module_layers(actors: TeamActors, module: NetworkConfig) -> list[dict[str, Float32]]:
+    from eia_sec.deploy.policies.onnx_modules import module_layers  # noqa: PLC0415  (loads torch)
+
+    return [module_layers(module, group, row) for group, row in _rows(actors)]
+
+
+def _rows(actors: TeamActors) -> list[tuple[GroupSpec, Float32]]:
+    """Return each agent's group, and its parameters [P]."""
+    pairs = zip(actors.team.groups, actors.flat, strict=True)
+    return [(group, flat[index % len(flat)]) for group, flat in pairs for index in range(group.count)]
 
 
 def kinds_of(actors: TeamActors) -> list[GroupSpec]:
@@ -80,8 +97,7 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
     """
     kinds = kinds_of(actors)
     return {
-        "format": FORMATS[actors.memory],
-        "network": NETWORKS[actors.memory],
+        **_network(actors),
         "outputs": {
             "continuous": "a = tanh(z)",
             "choices": "a[k] = argmax of z over branch k's options; masked: where o's last numbers exceed 0.5",
@@ -96,10 +112,23 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
                 **asdict(tensor_names(config, group)),
                 "choices": list(group.choices),
                 "masked": group.masked,
+                **({"image": list(group.image)} if group.image else {}),
                 "adapters": [{"kind": adapter.kind, **adapter.constants()} for adapter in group.adapters],
             }
             for name, group in zip(agent_names(actors), kinds, strict=True)
         },
+    }
+
+
+def _network(actors: TeamActors) -> dict[str, Any]:
+    """Return the description's format, and what a network computes."""
+    if actors.module is None:
+        return {"format": FORMATS[actors.memory], "network": NETWORKS[actors.memory]}
+    plugin, network = plugins.network(actors.module.name)
+    return {
+        "format": MODULES,
+        "network": f"z = {network.module}(shift + scale o), or of an image o / 255, channels first",
+        "module": {"plugin": plugin, "options": asdict(actors.module)},
     }
 
 
@@ -143,13 +172,40 @@ def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: M
         PolicyError: the package onnx is missing, or a file cannot be written.
     """
     described = description(config, actors, metadata)
+    if actors.module is not None:
+        return _export_modules(folder, actors, actors.module, described)
     paths = []
     for name, layers, group in zip(agent_names(actors), agent_layers(actors), kinds_of(actors), strict=True):
-        shared = {key: value for key, value in described.items() if key != "agents"}
-        network = network_nodes(layers, actors.memory)
-        model = _model(name, network, group, {**shared, **described["agents"][name]})
+        model = _model(name, network_nodes(layers, actors.memory), group, _of_agent(described, name))
         paths.append(_write(folder, f"{name}.onnx", model.SerializeToString()))
     return [*paths, _describe(folder, json.dumps(described, indent=2))]
+
+
+def _export_modules(folder: Path, actors: TeamActors, module: NetworkConfig, described: dict[str, Any]) -> list[Path]:
+    """Write the models of a plug-in's networks, as `export_onnx` does."""
+    onnx = _onnx()
+    from eia_sec.deploy.policies import onnx_modules  # noqa: PLC0415  (loads torch)
+
+    paths = []
+    for name, (group, row) in zip(agent_names(actors), _rows(actors), strict=True):
+        graph = onnx_modules.module_graph(module, group, row)
+        acting, constants = action_nodes(group)
+        graph.name = name
+        graph.node.extend(onnx.helper.make_node(n.operator, n.inputs, [n.output], **n.attributes) for n in acting)
+        graph.initializer.extend(onnx.numpy_helper.from_array(array, key) for key, array in constants.items())
+        size = group.environment_action_size
+        output = onnx.helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, ["batch", size])
+        graph.output[0].CopyFrom(output)
+        versions = onnx_modules.OPSET, onnx_modules.IR_VERSION
+        model = _finished(graph, versions, _of_agent(described, name))
+        paths.append(_write(folder, f"{name}.onnx", model.SerializeToString()))
+    return [*paths, _describe(folder, json.dumps(described, indent=2))]
+
+
+def _of_agent(described: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return what the description says about all agents, and about one."""
+    shared = {key: value for key, value in described.items() if key != "agents"}
+    return {**shared, **described["agents"][name]}
 
 
 def _describe(folder: Path, text: str) -> Path:
@@ -164,10 +220,8 @@ def _write(folder: Path, name: str, data: bytes) -> Path:
 
 
 def _model(name: str, network: Network, group: GroupSpec, described: Mapping[str, Any]) -> "ModelProto":
-    try:
-        from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
-    except ImportError:
-        raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
+    onnx = _onnx()
+    helper = onnx.helper
     acting, constants = action_nodes(group)
     inputs, outputs = {"observation": group.observation_size}, {"action": group.environment_action_size}
     if network.state:
@@ -175,13 +229,35 @@ def _model(name: str, network: Network, group: GroupSpec, described: Mapping[str
     graph = helper.make_graph(
         [helper.make_node(n.operator, n.inputs, [n.output], **n.attributes) for n in (*network.nodes, *acting)],
         name,
-        [helper.make_tensor_value_info(key, TensorProto.FLOAT, ["batch", size]) for key, size in inputs.items()],
-        [helper.make_tensor_value_info(key, TensorProto.FLOAT, ["batch", size]) for key, size in outputs.items()],
-        [numpy_helper.from_array(array, key) for key, array in (network.numbers | constants).items()],
+        [helper.make_tensor_value_info(key, onnx.TensorProto.FLOAT, ["batch", size]) for key, size in inputs.items()],
+        [helper.make_tensor_value_info(key, onnx.TensorProto.FLOAT, ["batch", size]) for key, size in outputs.items()],
+        [onnx.numpy_helper.from_array(array, key) for key, array in (network.numbers | constants).items()],
     )
-    model = helper.make_model(
-        graph, producer_name="eia-sec", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
-    )
+    return _finished(graph, (OPSET, IR_VERSION), described)
+
+
+def _finished(graph: Any, versions: tuple[int, int], described: Mapping[str, Any]) -> "ModelProto":
+    """Return the checked model of a graph, with what the description says in it.
+
+    Args:
+        graph: the graph.
+        versions: of its operator set, and of the file.
+        described: what the description says about the agent.
+    """
+    onnx = _onnx()
+    helper = onnx.helper
+    sets = [helper.make_opsetid("", versions[0])]
+    model: ModelProto = helper.make_model(graph, producer_name="eia-sec", opset_imports=sets, ir_version=versions[1])
     helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in described.items()})
-    checker.check_model(model, full_check=True)
+    onnx.checker.check_model(model, full_check=True)
     return model
+
+
+def _onnx() -> Any:
+    """Return the package onnx; raise PolicyError if it is missing."""
+    try:
+        import onnx  # noqa: PLC0415 - an extra that few users need
+        import onnx.numpy_helper  # noqa: PLC0415 - likewise
+    except ImportError:
+        raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
+    return onnx

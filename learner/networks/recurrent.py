@@ -13,6 +13,8 @@ from torch import Tensor
 
 from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.gru import Memory
+from eia_sec.common.team import Shape
+from eia_sec.learner.networks.module_stack import ModuleStack
 from eia_sec.learner.networks.sequences import Sequences, Unroll
 from eia_sec.learner.networks.stack import Stack, orthogonal
 
@@ -94,13 +96,19 @@ def _next_state(asked: Tensor, state: Tensor, u: Tensor, c: Tensor) -> Tensor:
 def make_stack(
     config: OnPolicyConfig,
     count: int,
-    inputs: int,
+    shape: Shape,
     outputs: int,
     gain: float,
     names: Sequence[tuple[int | str, ...]],
 ) -> Stack:
-    """Return a drawn stack with the configured memory; arguments as for `Stack` and `Stack.draw`."""
-    kind = Stack if config.memory == "none" else RecurrentStack
-    stack = kind(count, inputs, config.hidden, outputs)
+    """Return a drawn stack of the configured networks; arguments as for `Stack` and `Stack.draw`.
+
+    The shape is that of one input, `(inputs,)` for perceptrons.
+    """
+    if config.module is not None:
+        stack: Stack = ModuleStack(config.module, count, shape, outputs)
+    else:
+        kind = Stack if config.memory == "none" else RecurrentStack
+        stack = kind(count, math.prod(shape), config.hidden, outputs)
     stack.draw(gain, names)
     return stack

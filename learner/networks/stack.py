@@ -148,6 +148,14 @@ class Stack(nn.Module):
         weight *= scale
         bias.mul_(scale).add_(shift)
 
+    def follow_inputs(self, shift: Tensor, scale: Tensor) -> None:
+        """Keep the function of networks that have learnt when their inputs move, see `rescale_inputs`."""
+        self.rescale_inputs(shift, scale)
+
+    def follow_outputs(self, shift: float, scale: float) -> None:
+        """Keep the function of networks that have learnt when what they learn moves, see `rescale_outputs`."""
+        self.rescale_outputs(shift, scale)
+
     @torch.no_grad()
     def load(self, flat: Float32) -> None:
         """Replace the parameters by [S, P] float32."""

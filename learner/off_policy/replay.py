@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from eia_sec.common.errors import CheckpointError, ConfigError, EiaSecError
-from eia_sec.common.protocol.bfloat16 import Bits
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.common.transitions import TERMINATED, TRANSITION, Rows
+from eia_sec.common.transitions import TERMINATED, TRANSITION, Rows, Seen
 from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 from eia_sec.learner.off_policy import replay_kernels
 from eia_sec.learner.off_policy.engine import Batch
@@ -273,7 +272,7 @@ class Replay:
         return counts, used
 
 
-def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32 | Bits, index: Indices) -> None:
+def _write(target: Float32 | Tensor, start: int, stop: int, source: Seen, index: Indices) -> None:
     """Copy the rows `index` of an array to rows start .. stop - 1; on a CPU, without a temporary copy."""
     if isinstance(target, Tensor):
         target[start:stop].copy_(torch.from_numpy(source[index]))

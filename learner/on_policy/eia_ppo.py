@@ -32,7 +32,7 @@ class MixedValue(GroupValue):
         self._weight, self._agents = config.local_weight, group.count
         self.local = None if config.shared else OwnValue(config, group, seed)
         self.members = nn.ModuleList(
-            make_stack(config, 1, group.observation_size, 1, 1.0, [(seed, "member", group.name, index)])
+            make_stack(config, 1, group.seen, 1, 1.0, [(seed, "member", group.name, index)])
             for index in range(config.ensemble_size)
         )
         self.states = group.count * (len(self.members) + (self.local is not None))

@@ -106,17 +106,22 @@ class Observations(NamedTuple):
         Args:
             team: the layout of the team.
             rows: [R, O].
-            dtype: what they become.
+            dtype: what they become if they are no bytes.
             pool: does it for the types side by side.
             whole: whether a network sees those of all agents.
         """
         parts = split(team, rows)
         own = pool.run([partial(_contiguous, part, dtype) for part in parts])
-        return cls(tuple(own), rows.to(dtype) if whole else rows.new_empty(len(rows), 0))
+        return cls(tuple(own), _as(rows, dtype) if whole else rows.new_empty(len(rows), 0))
 
 
 def _contiguous(part: Tensor, dtype: torch.dtype) -> Tensor:
-    return part.to(dtype).contiguous()
+    return _as(part, dtype).contiguous()
+
+
+def _as(rows: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return observations as numbers of a type; bytes stay bytes, which networks scale."""
+    return rows if rows.dtype == torch.uint8 else rows.to(dtype)
 
 
 def _array(tensors: dict[str, Tensor], name: str) -> Any:

@@ -18,7 +18,7 @@ class OwnValue(GroupValue):
         super().__init__()
         count = 1 if config.shared else group.count
         names = initialisation_names("value", group, count, seed, per_type=config.initialisation == "type")
-        self.network = make_stack(config, count, group.observation_size, 1, 1.0, names)
+        self.network = make_stack(config, count, group.seen, 1, 1.0, names)
         self.states = group.count
 
     def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:

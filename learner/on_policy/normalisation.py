@@ -32,22 +32,28 @@ class ObservationScale:
     """The running scale of one type's observations.
 
     Args:
-        group: the type. Its masks of legal actions are not scaled.
+        group: the type. Its masks of legal actions are not scaled, and images not at all.
 
     Attributes:
-        tensors: float64 by name: rows seen [1], then mean, deviation, least and largest of each number, [o] each.
+        tensors: float64 by name: rows seen [1], then mean, deviation, least and largest of each number, [o] each, or
+            [0] of images.
     """
 
     def __init__(self, group: GroupSpec) -> None:
-        size = group.observation_size
-        self._scaled = size - (group.options if group.masked else 0)
+        self._size = group.observation_size
+        self._scaled = 0 if group.image else self._size - (group.options if group.masked else 0)
+        size = 0 if group.image else self._size
         zeros = {name: torch.zeros(size, dtype=torch.float64) for name in ("mean", "deviation", "least", "largest")}
         self.tensors = {"rows": torch.zeros(1, dtype=torch.float64), **zeros}
 
     def add(self, observations: Tensor) -> None:
         """Take in observations [N, o]."""
-        t, new = self.tensors, observations.double()
-        rows, count = t["rows"], torch.tensor([float(len(new))], dtype=torch.float64)
+        t, count = self.tensors, torch.tensor([float(len(observations))], dtype=torch.float64)
+        rows = t["rows"]
+        if not self._scaled:
+            rows.copy_(torch.clamp(rows + count, max=MOST_ROWS))
+            return
+        new = observations.double()
         share = count / (rows + count)
         shift = new.mean(dim=0) - t["mean"]
         variance = (1.0 - share) * t["deviation"] ** 2 + share * new.var(dim=0, unbiased=False)
@@ -62,6 +68,8 @@ class ObservationScale:
     def shift_and_scale(self) -> tuple[Tensor, Tensor]:
         """Return m and s, [o] float32; 0 and 1 for masks, for numbers that never change, and before the first rows."""
         t, kept = self.tensors, self._scaled
+        if not kept:
+            return torch.zeros(self._size), torch.ones(self._size)
         farthest = torch.maximum(t["largest"] - t["mean"], t["mean"] - t["least"])
         scale = torch.maximum(t["deviation"], farthest / LARGEST)
         shift, scale = t["mean"].clone(), torch.where(scale > 0.0, scale, 1.0)

@@ -45,8 +45,9 @@ class Policies(nn.Module):
         config = self._config
         count = 1 if config.shared else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
-        stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
-        prefer(stack, group, config.suggestion_logits.get(group.name, FOLLOW))
+        stack = make_stack(config, count, group.seen, actor_outputs(group, HEAD), LAST_GAIN, names)
+        if config.module is None:
+            prefer(stack, group, config.suggestion_logits.get(group.name, FOLLOW))
         return stack
 
     def evaluate(self, kind: int, observation: Tensor, action: Tensor, sequences: Sequences | None = None) -> Evaluated:
@@ -63,7 +64,7 @@ class Policies(nn.Module):
     def actors(self) -> TeamActors:
         """Return a copy of all actors, which read observations as they are."""
         flat = tuple(self._unscaled(stack, kind).export() for kind, stack in enumerate(self.stacks))
-        return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory)
+        return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory, self._config.module)
 
     def load(self, flat: Sequence[Float32]) -> None:
         """Replace the actors' parameters by those of actors as `actors` returns them, [n_v or 1, P_v] for each type."""

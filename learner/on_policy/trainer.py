@@ -20,7 +20,7 @@ from eia_sec.common.log import log
 from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.common.transitions import Chunk
+from eia_sec.common.transitions import Chunk, observation_type
 from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 from eia_sec.learner.checkpoint.trainer_state import (
     checked_tensors,
@@ -242,7 +242,8 @@ class OnPolicyTrainer(Trainer):
         chunk = rollout.chunk_rows(rollout.chunk_steps)
         whole = self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2
         rows = (2 * whole + DRAINED_CHUNKS) * chunk
-        observed = (2 if self.config.bfloat16_observations else 4) * team.observation_size
+        kind = observation_type(team, rounded=self.config.bfloat16_observations)
+        observed = kind.itemsize * team.observation_size
         row = observed + 4 * (team.action_size + 4 * team.agents) + ROW_BYTES
         return int(networks + rows * row + self._largest_states(2 * whole + DRAINED_CHUNKS, whole))
 

@@ -85,8 +85,9 @@ class Updates:
         rates = config.actor_rate, config.critic_rate
         groups = [(networks.parameters(), rate) for (_, networks), rate in zip(self._all_networks, rates, strict=True)]
         self._adam = Adam(groups, epsilon=ADAM_EPSILON)
-        # Networks with memory go through sequences, whose number differs from one minibatch to the next.
-        captures = device != "cpu" and config.memory == "none"
+        # Networks with memory go through sequences, whose number differs from one minibatch to the next. What a
+        # plug-in's network does is not known.
+        captures = device != "cpu" and config.memory == "none" and config.module is None
         self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
         self.diagnostics = IterationDiagnostics(team)
         self._scales = Scales(team, device)
@@ -113,7 +114,7 @@ class Updates:
         with torch.no_grad():
             for name, tensor in found.network_tensors():
                 own = shared[self.algorithm.shared_name(name)]
-                copies = len(tensor) // len(own) if tensor.ndim else 1
+                copies = len(tensor) // len(own) if tensor.ndim and tensor.numel() else 1
                 power = {"exp_avg": 1, "exp_avg_sq": 2}.get(name.rpartition(".")[2], 0)
                 tensor.copy_((own / copies**power).expand_as(tensor))
         found.diagnostics = self.diagnostics
@@ -157,11 +158,14 @@ class Updates:
         for kind, own in enumerate(split(self._team, as_tensor(rows.observation))):
             scales.observations[kind].add(own.flatten(0, 1))
         for kind in kinds:
-            if not fresh or float(scales.loaded):
-                self.policies.stacks[kind].rescale_inputs(*_moved(before[kind], scales.of_type(kind)))
+            stack, moved = self.policies.stacks[kind], _moved(before[kind], scales.of_type(kind))
+            if not fresh:
+                stack.follow_inputs(*moved)
+            elif float(scales.loaded):
+                stack.rescale_inputs(*moved)
             seen = (team_before, scales.of_team()) if self._config.sees_team else (before[kind], scales.of_type(kind))
             for stack in () if fresh else _stacks(self.values[kind]):
-                stack.rescale_inputs(*_moved(*seen))
+                stack.follow_inputs(*_moved(*seen))
 
     def _take_in_returns(self, returns: Float32, used: NDArray[np.int64]) -> None:
         """Update what returns are scaled by; value functions that have learnt keep theirs."""
@@ -170,7 +174,7 @@ class Updates:
             scale.add(torch.from_numpy(returns[used, agents]))
             new_mean, new_deviation = scale.shift_and_scale()
             for stack in () if fresh else _stacks(value):
-                stack.rescale_outputs((mean - new_mean) / new_deviation, deviation / new_deviation)
+                stack.follow_outputs((mean - new_mean) / new_deviation, deviation / new_deviation)
 
     def _as_learnt(self, returns: Float32) -> Float32:
         """Return the returns [R, agents] as value functions learn them."""
@@ -211,7 +215,7 @@ class Updates:
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
         whole = self._config.sees_team or self._config.memory != "none"
         observation = as_tensor(rows.observation).to(self._device)
-        if self._config.normalise_observations:
+        if self._config.normalise_observations and not self._team.in_bytes:
             shift, scale = self._scales.of_team()
             observation = (observation - shift) / scale
         self._seen = Observations.of(self._team, observation, self._dtype, self._side_by_side, whole=whole)

@@ -65,7 +65,7 @@ def configuration_tables() -> str:
         if name == "algorithm":
             parts += _algorithm_tables()
             continue
-        presets = {shown: config for shown, config in SHOWN.items() if name not in config.unused_sections}
+        presets = {shown: config for shown, config in SHOWN.items() if _reads(config, name)}
         rows = [_row(name, section, field.name, presets) for field in dataclasses.fields(section)]
         rows = [row for row in rows if row]
         if rows:
@@ -73,6 +73,13 @@ def configuration_tables() -> str:
             about = _about(type(section)) + _readers(name)
             parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(), *rows]) + "\n")
     return "\n".join(parts)
+
+
+def _reads(config: RunConfig, section: str) -> bool:
+    """Return whether a configuration has a section, and its algorithm reads it."""
+    if section.startswith("algorithm."):
+        return hasattr(config.algorithm, section.removeprefix("algorithm."))
+    return section not in config.unused_sections
 
 
 def _about(section: type[Any]) -> str:
@@ -97,7 +104,9 @@ def _algorithm_tables() -> Iterator[str]:
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
         options = {field.name for field in dataclasses.fields(owner)}  # class variables are none
-        fields = [field for field in inspect.get_annotations(owner) if field in options]
+        hints = get_type_hints(owner)
+        names = [field for field in inspect.get_annotations(owner) if field in options]
+        fields = [field for field in names if not dataclasses.is_dataclass(hints[field])]
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]
         presets = {name: config for name, config in SHOWN.items() if isinstance(config.algorithm, owner)}

@@ -61,7 +61,7 @@ class Environments(Protocol):
 
     @property
     def observation(self) -> Float32:
-        """[E, O] current observations of all agents."""
+        """[E, O] current observations of all agents; bytes where all see images."""
 
     @property
     def reward(self) -> Float32:

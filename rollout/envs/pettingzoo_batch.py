@@ -16,7 +16,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, EnvironmentOutageError, SimulationError
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32, described
-from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.common.transitions import EpisodeSummary, observation_type
 from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.episode_infos import EpisodeInfos
 from eia_sec.rollout.envs.guard import Guard
@@ -44,8 +44,8 @@ class PettingZooBatch:
         team: layout of a row, type by type.
         spec: what generic code needs to know; there are no episode metrics but `infos`.
         names: the agents in row order.
-        observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does, each agent's action mask
-            at the end.
+        observation: [E, O] float32, or bytes where all agents see images, flattened as `gymnasium.spaces.flatten` does,
+            each agent's action mask at the end.
         reward: [E, agents] float32 of the last step.
         potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
         hindsight: None, for the same reason.
@@ -87,7 +87,8 @@ class PettingZooBatch:
         self._views = [agents.views] * environments
         self._spaces, self._actions = agents.actions, RowActions(agents.actions)
         self._absent = {name: view.absent() for name, view in agents.views.items()}
-        self.observation: Float32 = np.zeros((environments, self.team.observation_size), np.float32)
+        kind = observation_type(self.team, rounded=False)
+        self.observation: Float32 = np.zeros((environments, self.team.observation_size), kind)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
         self.potential: Float32 = np.zeros_like(self.reward)
         self.hindsight: Float32 | None = None

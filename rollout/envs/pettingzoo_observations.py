@@ -3,6 +3,8 @@
 Environments say in two ways which options are legal: an observation that is a Dict with `action_mask` and other keys,
 or `infos[agent]["action_mask"]`. Either way the mask becomes the end of the agent's observation. All options count as
 legal where a mask is missing, where it allows no option of a branch, and for an agent that has left.
+
+A Box of bytes with three dimensions is an image, height by width by channels; its bytes stay bytes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,13 +16,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from eia_sec.common.errors import ConfigError, ContractError
-from eia_sec.common.team import MOST_NUMBERS, Float32
+from eia_sec.common.team import MOST_NUMBERS, Float32, Shape
 from eia_sec.common.transitions import LARGEST
 from eia_sec.rollout.envs.guard import shown
 
 MASK: Final = "action_mask"
 """Key of a mask in an observation or in an agent's info."""
 MaskSource = Literal["none", "observation", "info"]
+Numbers = NDArray[Any]
+"""Numbers of type float32, or bytes."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,14 @@ class AgentView:
         choices: options of each branch of the agent's action; empty without a mask.
         source: where the environment gives the mask.
         size: numbers of the observation, the mask included.
+        image: height, width and channels of what is flattened; empty for what is no image.
     """
 
     space: spaces.Space[Any]
     choices: tuple[int, ...]
     source: MaskSource
     size: int
+    image: Shape = ()
 
     @classmethod
     def of(cls, name: Any, space: spaces.Space[Any], choices: tuple[int, ...], *, informed: bool) -> "AgentView":
@@ -55,26 +61,28 @@ class AgentView:
         if choices and holds_mask(space, choices):
             assert isinstance(space, spaces.Dict)
             rest = spaces.Dict([(key, part) for key, part in space.spaces.items() if key != MASK])
-            return cls(rest, choices, "observation", _flat_size(name, rest) + sum(choices))
+            return cls(rest, choices, "observation", _flat_size(name, rest) + sum(choices), _image(rest))
         if choices and informed:
-            return cls(space, choices, "info", _flat_size(name, space) + sum(choices))
-        return cls(space, (), "none", _flat_size(name, space))
+            return cls(space, choices, "info", _flat_size(name, space) + sum(choices), _image(space))
+        return cls(space, (), "none", _flat_size(name, space), _image(space))
 
     @property
     def masked(self) -> bool:
         """Whether the observation ends with a mask."""
         return self.source != "none"
 
-    def numbers(self, name: Any, seen: Any, info: Mapping[str, Any]) -> Float32:
-        """Return the observation [size] float32 of an agent that is present.
+    def numbers(self, name: Any, seen: Any, info: Mapping[str, Any]) -> Numbers:
+        """Return the observation [size] of an agent that is present, float32, or bytes of an image.
 
         Raises:
             ContractError: observation or mask do not fit the agent's spaces, or a number is not finite or larger than
                 LARGEST. The sentence goes on from "NAME: METHOD returned", see `Guard.returned`.
         """
+        if self.image:
+            self._require_bytes(name, seen)
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
+                flat: Numbers = np.asarray(spaces.flatten(self.space, seen), self._kind).reshape(-1)
         except Exception as error:  # parts of a user's observation may raise anything
             raise _misfit(name, seen, self.space, f": {error!r}") from error
         if flat.shape != (self.size - sum(self.choices),):
@@ -83,12 +91,22 @@ class AgentView:
             raise _beyond(name, flat)
         if self.masked:
             given = (seen if self.source == "observation" else info).get(MASK)
-            flat = np.concatenate([flat, self._legal(name, given)])
+            flat = np.concatenate([flat, self._legal(name, given).astype(self._kind)])
         return flat
 
-    def absent(self) -> Float32:
-        """Return the observation [size] float32 of an agent that has left: zeros, with all options legal."""
-        flat = np.zeros(self.size, np.float32)
+    @property
+    def _kind(self) -> type[np.uint8 | np.float32]:
+        return np.uint8 if self.image else np.float32
+
+    def _require_bytes(self, name: Any, seen: Any) -> None:
+        """Raise ContractError unless an image holds bytes, which flattening would make of anything."""
+        held = seen if isinstance(self.space, spaces.Box) else next(v for k, v in seen.items() if k != MASK)
+        if getattr(held, "dtype", None) != np.uint8:
+            raise _misfit(name, held, self.space, f", of {getattr(held, 'dtype', type(held).__name__)} and not uint8")
+
+    def absent(self) -> Numbers:
+        """Return the observation [size] of an agent that has left: zeros, with all options legal."""
+        flat = np.zeros(self.size, self._kind)
         flat[self.size - sum(self.choices) :] = 1.0
         return flat
 
@@ -123,6 +141,15 @@ def _beyond(name: Any, flat: Float32) -> ContractError:
     return ContractError(
         f"an observation of agent {name} with {flat[index]:g} at index {index}; the largest is {LARGEST:g}: {remedy}."
     )
+
+
+def _image(space: spaces.Space[Any]) -> Shape:
+    """Return the shape of an image; empty for anything else."""
+    if isinstance(space, spaces.Dict) and len(space.spaces) == 1:
+        (space,) = space.spaces.values()
+    if isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3:
+        return tuple(map(int, space.shape))
+    return ()
 
 
 def holds_mask(space: spaces.Space[Any], choices: tuple[int, ...]) -> bool:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.errors import ConfigError, ContractError, EnvironmentFaultError
 from eia_sec.common.names import is_name
-from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.team import GroupSpec, Shape, TeamSpec
 from eia_sec.rollout.envs.guard import Guard, factory
 from eia_sec.rollout.envs.pettingzoo_actions import action_size, choices_of, is_bounded_box, is_choice
 from eia_sec.rollout.envs.pettingzoo_observations import AgentView, holds_mask, informed_agents
@@ -134,22 +134,28 @@ class _Shape(NamedTuple):
     action_size: int
     choices: tuple[int, ...]
     masked: bool
+    image: Shape
 
     @property
     def label(self) -> str:
-        """A suffix that distinguishes types of one name: 4x2 for a box, 4of3.3 for two branches of three options."""
+        """A suffix that distinguishes types of one name: 4x2 for a box, 4of3.3 for two branches of three options.
+
+        That of an image has its height, width and channels: 16.16.3of5.
+        """
+        seen = ".".join(map(str, self.image)) or self.observation_size
         if not self.choices:
-            return f"{self.observation_size}x{self.action_size}"
+            return f"{seen}x{self.action_size}"
         branches = ".".join(map(str, self.choices))
-        return f"{self.observation_size}of{branches}{'-masked' if self.masked else ''}"
+        return f"{seen}of{branches}{'-masked' if self.masked else ''}"
 
     def group(self, name: str, count: int) -> GroupSpec:
         """Return the type of so many agents."""
-        return GroupSpec(name, count, self.observation_size, self.action_size, choices=self.choices, masked=self.masked)
+        sizes, more = (count, self.observation_size, self.action_size), (self.choices, self.masked, self.image)
+        return GroupSpec(name, *sizes, (), *more)
 
 
 def _shape(space: spaces.Space[Any], view: AgentView) -> _Shape:
-    return _Shape(view.size, action_size(space), choices_of(space), view.masked)
+    return _Shape(view.size, action_size(space), choices_of(space), view.masked, view.image)
 
 
 def _views(environment: Guard) -> dict[Any, AgentView]:

@@ -18,6 +18,7 @@ from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.team import TeamSpec
 from eia_sec.rollout.envs.base import Environments, Patience, Reach
+from eia_sec.rollout.envs.networks import require_networks
 from eia_sec.rollout.heuristics.random import RandomPolicy
 
 TRIAL_STEPS: Final = 3
@@ -169,6 +170,7 @@ def _try(environments: Environments) -> None:
 def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
     """Return the description; raise ConfigError if it cannot be trained."""
     _require_actions(config, spec.team)
+    require_networks(config, spec.team)
     if config.env.served and config.imitates and config.elite.farms:
         raise ConfigError(
             f"elite.farms {config.elite.farms} evaluates elites beside training, which environments that others serve "

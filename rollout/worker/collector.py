@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import CancelledError
-from eia_sec.common.protocol.bfloat16 import Bits, to_bits
+from eia_sec.common.protocol.bfloat16 import to_bits
 from eia_sec.common.seeds import derive, stream
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from eia_sec.common.transitions import (
+    TERMINATED,
+    TRANSITION,
+    TRUNCATED,
+    Chunk,
+    EpisodeSummary,
+    Rows,
+    Seen,
+    observation_type,
+)
 from eia_sec.rollout.envs.base import Patience, Reach
 from eia_sec.rollout.envs.registry import change_arguments, infos_alarm, make_environments
 from eia_sec.rollout.worker.action_sampler import ActionSampler
@@ -240,14 +249,15 @@ class _ChunkRows:
     """
 
     def __init__(self, count: int, steps: int, team: TeamSpec, *, log_probabilities: bool, rounded: bool) -> None:
-        self._rounded = rounded
-        self._observation = np.empty((count, steps + 1, team.observation_size), np.uint16 if rounded else np.float32)
+        kind = observation_type(team, rounded=rounded)
+        self._rounded = kind == np.uint16
+        self._observation: Seen = np.empty((count, steps + 1, team.observation_size), kind)
         self.action = np.zeros((count, steps + 1, team.action_size), np.float32)
         self.reward = np.zeros((count, steps + 1, team.agents), np.float32)
         self.log_probability = np.zeros((count, steps + 1, team.agents if log_probabilities else 0), np.float32)
         self._flag = np.zeros((count, steps + 1), np.uint8)
         self._flag[:, :steps] = TRANSITION
-        self._ends: list[tuple[int, int, Float32 | Bits]] = []
+        self._ends: list[tuple[int, int, Seen]] = []
 
     def write_observation(self, step: int, observation: Float32) -> None:
         """Write the observations [E, O] before a step."""
@@ -272,8 +282,8 @@ class _ChunkRows:
         self._flag[:, steps] = 0
         length = steps + 1
         count = len(self._flag) * length
-        arrays = (self._observation, self.action, self.reward, self.log_probability)
-        observation, *others = (array[:, :length].reshape(count, array.shape[2]) for array in arrays)
+        observation = self._observation[:, :length].reshape(count, -1)
+        others = [a[:, :length].reshape(count, a.shape[2]) for a in (self.action, self.reward, self.log_probability)]
         flag = self._flag[:, :length].reshape(count)
         inserted = [(index * length + done, last) for index, done, last in self._ends if done < steps]
         if inserted:

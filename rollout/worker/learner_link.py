@@ -57,7 +57,7 @@ class LearnerLink:
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(run))
-        self.store = PolicyStore(team)
+        self.store = PolicyStore(team, config.module)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
         self.window, self.arguments = NO_LIMIT, ""

@@ -16,7 +16,7 @@ from eia_sec.common.callbacks import Callback, TrainingProgress
 from eia_sec.common.errors import EnvironmentOutageError
 
 if TYPE_CHECKING:
-    from eia_sec.common.plugins import Plugin, PluginAlgorithm
+    from eia_sec.common.plugins import Plugin, PluginAlgorithm, PluginNetwork
     from eia_sec.deploy.api import evaluate, load_policy, make_env, train
     from eia_sec.deploy.python.run import Run
     from eia_sec.rollout.agent_policy import Policy
@@ -26,6 +26,7 @@ __all__ = [
     "EnvironmentOutageError",
     "Plugin",
     "PluginAlgorithm",
+    "PluginNetwork",
     "Policy",
     "Run",
     "TrainingProgress",
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 _LAZY: Final = {
-    **dict.fromkeys(("Plugin", "PluginAlgorithm"), "eia_sec.common.plugins"),
+    **dict.fromkeys(("Plugin", "PluginAlgorithm", "PluginNetwork"), "eia_sec.common.plugins"),
     "Policy": "eia_sec.rollout.agent_policy",
     "Run": "eia_sec.deploy.python.run",
     **dict.fromkeys(("evaluate", "load_policy", "make_env", "train"), "eia_sec.deploy.api"),

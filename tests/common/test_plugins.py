@@ -21,16 +21,7 @@ from eia_sec.learner.registry import off_policy, on_policy
 from eia_sec.rollout.policies import run_policy
 from tests.test_api import TINY
 
-
-@pytest.fixture(autouse=True)
-def _nothing_stays_loaded():
-    """Forget what a test has loaded."""
-    before = dict(ALGORITHM_CONFIGS)
-    yield
-    plugins._PLUGINS.clear()
-    LOADED.clear()
-    ALGORITHM_CONFIGS.clear()
-    ALGORITHM_CONFIGS.update(before)
+pytestmark = pytest.mark.usefixtures("nothing_stays_loaded")
 
 
 def module(monkeypatch, **members):

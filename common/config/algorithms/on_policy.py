@@ -1,10 +1,11 @@
 """Algorithms that learn on policy: PPO for many agents (IPPO, MAPPO), and EIA-SEC's form of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 from eia_sec.common.config.algorithms.base import AlgorithmConfig
+from eia_sec.common.config.algorithms.network import MLP, NetworkConfig, network_named
 from eia_sec.common.config.checks import not_negative, positive, within
 from eia_sec.common.config.maps import FrozenMap, freeze, within_each
 from eia_sec.common.errors import ConfigError
@@ -86,6 +87,7 @@ class OnPolicyConfig(AlgorithmConfig):
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     """Precision of observations in rows, and of products in updates if the device has instructions for bfloat16.
     Parameters, sums and what the networks return are float32 in any case."""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
 
     def __post_init__(self) -> None:
         """Refuse what cannot learn."""
@@ -103,6 +105,8 @@ class OnPolicyConfig(AlgorithmConfig):
             raise ConfigError(
                 f"minibatch_steps {self.minibatch_steps} hold no sequence of sequence_steps {self.sequence_steps}."
             )
+        if self.module is not None and self.memory != "none":
+            raise ConfigError(f"memory {self.memory} is one of network {MLP}; {self.network.name} has none.")
         freeze(self, "start_policy", "suggestion_logits", "discounts", "entropy_scales", "hindsight")
         within_each(0.0, 1.0, discounts=self.discounts, entropy_scales=self.entropy_scales, hindsight=self.hindsight)
         within_each(0.0, 100.0, suggestion_logits=self.suggestion_logits)
@@ -112,6 +116,15 @@ class OnPolicyConfig(AlgorithmConfig):
         for option in ("suggestion_logits", "discounts", "entropy_scales", "hindsight"):
             if unknown := [kind for kind in getattr(self, option) if kind not in types]:
                 raise ConfigError(f"algorithm.{option} names {unknown[0]!r}, but the types are {', '.join(types)}.")
+
+    def with_network(self, name: str) -> "OnPolicyConfig":
+        """Return the options with those of another network; raise ConfigError where there is none of this name."""
+        return replace(self, network=network_named(self.network, name))
+
+    @property
+    def module(self) -> NetworkConfig | None:
+        """The options of a plug-in's network; None for the perceptrons of this package."""
+        return None if self.network.name == MLP else self.network
 
     @property
     def bfloat16_observations(self) -> bool:

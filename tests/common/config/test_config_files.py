@@ -268,9 +268,10 @@ OTHER_VALUES = {
 }
 
 
-KEYS = {key: name for name in BASES for key in flatten(PRESETS[name]) if key != "plugins"}
-"""Every option but the plug-ins, which must be loaded, and the preset in which it is changed; that of default has
-routes, which exclude inertia."""
+OF_PLUGINS = ("plugins", "algorithm.network.name")
+KEYS = {key: name for name in BASES for key in flatten(PRESETS[name]) if key not in OF_PLUGINS}
+"""Every option but those whose values are plug-ins, which must be loaded, and the preset in which it is changed; that
+of default has routes, which exclude inertia."""
 
 
 @pytest.mark.parametrize(("key", "name"), (KEYS | {"farm.dynamics.model": "inertial"}).items())
