@@ -1,1 +1,1 @@
-"""Trained actors that fly vehicles: observations in, velocity set-points out, over the bus that training uses."""
+"""Policies that fly vehicles: poses and reports in, set-points out, over the bus that training uses."""

@@ -40,6 +40,10 @@ class FakeAutopilot:
         origin: TangentPlane at its own origin, for latitude and longitude.
         height: at the beginning, m.
         system: its MAVLink system.
+
+    Attributes:
+        mute: whether it keeps its position for itself.
+        frozen: whether its positions' time stands still.
     """
 
     def __init__(self, port, clock, kind="px4", origin=None, height=20.0, system=1):
@@ -51,7 +55,7 @@ class FakeAutopilot:
         self.place, self.velocity, self.wanted, self.yaw = [0.0, 0.0, -height], [0.0] * 3, [0.0] * 3, 0.0
         self._begin = self._last = self._beat = clock()
         self._stamp = 1
-        self._asked = kind == "px4"
+        self._asked, self.mute = kind == "px4", False
         self._gap_since = self._latest = -math.inf
         self.accepted, self.rejected, self.commands, self.failsafes = 0, [], [], 0
 
@@ -75,12 +79,15 @@ class FakeAutopilot:
         if self.mode == "GUIDED" and now - self._latest > 3.0:
             flies = False
         dt, self._last = now - self._last, now
+        self.move(self.wanted if flies else [0.0] * 3, dt)
+        self._tell(now)
+
+    def move(self, wanted, dt):
+        """Fly towards a velocity for some time, north, east and down."""
         for axis in range(3):
-            goal = self.wanted[axis] if flies else 0.0
-            change = max(-ACCELERATION * dt, min(ACCELERATION * dt, goal - self.velocity[axis]))
+            change = max(-ACCELERATION * dt, min(ACCELERATION * dt, wanted[axis] - self.velocity[axis]))
             self.velocity[axis] += change
             self.place[axis] += self.velocity[axis] * dt
-        self._tell(now)
 
     def close(self):
         """Close the connection."""
@@ -118,9 +125,10 @@ class FakeAutopilot:
     def _tell(self, now):
         if not self.frozen:
             self._stamp = 1 + int(1e3 * (now - self._begin))
-        if self._asked:
+        tells = self._asked and not self.mute
+        if tells:
             self._wire.mav.local_position_ned_send(self._stamp, *self.place, *self.velocity)
-        if self._asked and self._origin is not None:
+        if tells and self._origin is not None:
             longitude, latitude = self._origin.to_degrees(np.array([[self.place[1], self.place[0]]]))[0]
             height, speeds = int(-1e3 * self.place[2]), [int(100 * speed) for speed in self.velocity]
             self._wire.mav.global_position_int_send(
