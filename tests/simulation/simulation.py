@@ -336,8 +336,10 @@ class Simulation:
         self.network.partition(node, self.draw.choice((0.5, 2.0, 8.0, 15.0)))
 
     def _separate(self) -> None:
-        one, other = self.draw.sample(sorted({process.node for process in self._living()}), 2)
-        self.network.separate(one, other, self.draw.choice((0.5, 2.0, 8.0, 15.0)))
+        nodes = sorted({process.node for process in self._living()})
+        if len(nodes) > 1:  # else everybody but the monitor is between two starts
+            one, other = self.draw.sample(nodes, 2)
+            self.network.separate(one, other, self.draw.choice((0.5, 2.0, 8.0, 15.0)))
 
     def _living(self) -> list[Process]:
         return [process for process in {*self.processes.values(), *self.learners} if process.alive]
@@ -559,6 +561,9 @@ def simulate(seed: int, scratch: str | None = None) -> Outcome:
                 steps = simulation.run()
             except ViolationError as violation:
                 failure = str(violation)
+            except Exception as error:
+                error.add_note(f"in the simulation of seed {seed}")
+                raise
             world = simulation.world
             faults = tuple(dict.fromkeys(simulation.faults))
             return Outcome(seed, failure, world.events, tuple(world.trace), faults, steps)
