@@ -67,3 +67,9 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     each of the processes that run the tests, which then refuse to begin.
     """
     return argname if isinstance(val, bytes) else None
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_runs_of_others(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Let monitors find no run of whoever works at this machine, nor those of other tests that run at the same time."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 from rich.live import Live
 
@@ -17,7 +19,7 @@ from eia_sec.common.names import check_name
 from eia_sec.common.process import StopSignal, denial
 from eia_sec.common.protocol import keys
 from eia_sec.common.transport.bus import Bus
-from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.local_runs import RUN, chosen, reached
 from eia_sec.deploy.monitor.live_view import render, summary
 from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
@@ -30,10 +32,13 @@ from eia_sec.deploy.options import parse
 class MonitorArguments:
     """Watch a run live; the monitor only subscribes."""
 
-    run: str = "farm"
-    """Name of the run."""
-    connect: str = DEFAULT
-    """Endpoint where the learner or a router listens."""
+    run_dir: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN_DIR]")] = None
+    """Directory of a run of this machine. Default: the run that trains here."""
+    run: str | None = None
+    """Name of the run. Default: that of the run of this machine, else farm."""
+    connect: str | None = None
+    """Endpoint where the learner or a router listens. Default: that of the run of this machine, else
+    tcp/127.0.0.1:7447."""
     tls: Path | None = None
     """Folder with a monitor's certificate (`eia-sec keys issue monitor NAME`); turns TLS on."""
     patience: float = 10.0
@@ -55,23 +60,20 @@ class MonitorArguments:
 def command(arguments: Sequence[str]) -> int:
     """Watch until interrupted or the time is up; return 0."""
     options = parse(MonitorArguments, arguments, "monitor")
-    check_name(options.run, "run")
+    check_name(options.run or RUN, "run")
     within(0.05, 3600.0, refresh=options.refresh)
     within(0, 65_535, openmetrics=options.openmetrics or 0)
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     stop = StopSignal()
     stop.install()
-    endpoint = Endpoint.parse(options.connect, options.tls)
-    with (
-        Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus,
-        _served(options) as served,
-    ):
-        _show(options, RunMonitor(bus, options.run), stop, bus, served)
+    run = chosen(options.run_dir, options.run, options.connect)
+    with reached(run, options.tls, options.patience, lambda: not stop) as bus, _served(options, run.run) as served:
+        _show(options, run.run, stop, bus, served)
     return 0
 
 
 @contextmanager
-def _served(options: MonitorArguments) -> Iterator[Callable[[Snapshot], None]]:
+def _served(options: MonitorArguments, run: str) -> Iterator[Callable[[Snapshot], None]]:
     """Yield what takes each snapshot for OpenMetrics; nothing is served where the option is not given.
 
     Raises:
@@ -86,16 +88,14 @@ def _served(options: MonitorArguments) -> Iterator[Callable[[Snapshot], None]]:
         from eia_sec.deploy.monitor.openmetrics import OpenMetricsServer, RunCollector  # noqa: PLC0415  (an extra)
     except ImportError:
         raise UsageError("--openmetrics needs prometheus-client: pip install 'eia-sec[openmetrics]'.") from None
-    collector = RunCollector(options.run)
+    collector = RunCollector(run)
     with OpenMetricsServer(collector, options.host, options.openmetrics) as server:
         sys.stderr.write(f"OpenMetrics at http://{bracketed(options.host)}:{server.port}/metrics\n")
         yield collector.show
 
 
-def _show(
-    options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus: Bus, served: Callable[[Snapshot], None]
-) -> None:
-    console, alarms = Console(), NewAlarms()
+def _show(options: MonitorArguments, run: str, stop: StopSignal, bus: Bus, served: Callable[[Snapshot], None]) -> None:
+    monitor, console, alarms = RunMonitor(bus, run), Console(), NewAlarms()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal
     live = None if plain else Live(console=console, auto_refresh=False, screen=True)
@@ -106,7 +106,7 @@ def _show(
             stop.event.wait(options.refresh)
             monitor.update()
             silent = bus.credentials is not None and not monitor.learner_values()
-            denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
+            denied = denial(bus, run, keys.METRIC.pattern(run)) if silent else None
             snapshot = monitor.snapshot((denied,) if denied else ())
             served(snapshot)
             if live is not None:

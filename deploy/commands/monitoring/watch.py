@@ -6,15 +6,17 @@ import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import tyro
 
 from eia_sec.common.config.checks import within
-from eia_sec.common.errors import EiaSecError
+from eia_sec.common.config.environment import FARM
+from eia_sec.common.errors import EiaSecError, UsageError
 from eia_sec.common.names import check_name
 from eia_sec.common.process import StopSignal
-from eia_sec.common.transport.bus import Bus
-from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE
+from eia_sec.deploy.local.local_runs import RUN, chosen, reached
 from eia_sec.deploy.monitor.web.address import bracketed, require_own_address
 from eia_sec.deploy.monitor.web.hub import Hub
 from eia_sec.deploy.monitor.web.server import WebServer
@@ -28,10 +30,13 @@ TICK_SECONDS: Final = 0.04
 class WatchArguments:
     """Watch one worker's farm in the browser; the worker publishes it only while a page is open."""
 
-    run: str = "farm"
-    """Name of the run."""
-    connect: str = DEFAULT
-    """Endpoint where the learner or a router listens."""
+    run_dir: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN_DIR]")] = None
+    """Directory of a run of this machine. Default: the run that trains here."""
+    run: str | None = None
+    """Name of the run. Default: that of the run of this machine, else farm."""
+    connect: str | None = None
+    """Endpoint where the learner or a router listens. Default: that of the run of this machine, else
+    tcp/127.0.0.1:7447."""
     worker: str | None = None
     """Name of the worker. Default: the first one that is alive."""
     host: str = "127.0.0.1"
@@ -51,7 +56,7 @@ class WatchArguments:
 def command(arguments: Sequence[str]) -> int:
     """Serve the page until interrupted; return 0."""
     options = parse(WatchArguments, arguments, "watch")
-    check_name(options.run, "run")
+    check_name(options.run or RUN, "run")
     if options.worker is not None:
         check_name(options.worker, "worker")
     within(0, 65_535, port=options.port)
@@ -60,9 +65,13 @@ def command(arguments: Sequence[str]) -> int:
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # browsers that disconnect are not worth a log line
     stop = StopSignal()
     stop.install()
-    endpoint, hub = Endpoint.parse(options.connect, options.tls), Hub()
+    run, hub = chosen(options.run_dir, options.run, options.connect), Hub()
+    if run.environment and run.environment != FARM:
+        raise UsageError(
+            f"the page draws farms, and {run.environment} is none; watch it with: eia-sec monitor {run.options}"
+        )
     with (
-        Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus,
+        reached(run, options.tls, options.patience, lambda: not stop) as bus,
         WebServer(hub, options.host, options.port, strangers=options.insecure) as server,
     ):
         address = f"http://{bracketed(options.host)}:{server.port}/"
@@ -70,7 +79,7 @@ def command(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
         if options.open:
             webbrowser.open(address)
-        _serve(Source(bus, options.run, options.worker, hub), hub, server, stop)
+        _serve(Source(bus, run.run, options.worker, hub), hub, server, stop)
     return DONE
 
 

@@ -1,11 +1,11 @@
 """`eia-sec learner`: the learner alone, listening itself or connected to a router."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Annotated
+from typing import Annotated, Final
 
 import tyro
 
@@ -17,6 +17,7 @@ from eia_sec.common.log import log
 from eia_sec.common.names import check_name
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.local_runs import LocalRun, listed
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
@@ -26,6 +27,9 @@ from eia_sec.learner.process.service import serve
 from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 from eia_sec.rollout.worker.outages import Outages
+
+EVERYWHERE: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
+"""Where this machine reaches itself when it listens at all of its addresses."""
 
 
 @dataclass(frozen=True)
@@ -97,22 +101,30 @@ def command(arguments: Sequence[str]) -> int:
         directory.prepare(options.settings, resume=resume)
         directory.lock("learner.lock", directory=True)
         directory.adopt(options.settings, environment.team)
-    serve(
-        LearnerOptions(
-            run=options.run,
-            endpoint=endpoint,
-            listen=not options.connect,
-            run_dir=options.run_dir,
-            resume=resume,
-            lockstep=options.lockstep,
-            patience=options.patience,
-            await_elite=options.await_elite,
-            start=partial(_start, options.settings, environment.team),
-        ),
-        options.settings,
-        environment,
-    )
+    with listed(_local_run(options, endpoint)):
+        serve(
+            LearnerOptions(
+                run=options.run,
+                endpoint=endpoint,
+                listen=not options.connect,
+                run_dir=options.run_dir,
+                resume=resume,
+                lockstep=options.lockstep,
+                patience=options.patience,
+                await_elite=options.await_elite,
+                start=partial(_start, options.settings, environment.team),
+            ),
+            options.settings,
+            environment,
+        )
     return 0
+
+
+def _local_run(options: LearnerArguments, endpoint: Endpoint) -> LocalRun:
+    """Return how monitors of this machine find the run."""
+    near = replace(endpoint, host=EVERYWHERE.get(endpoint.host, endpoint.host))
+    run_dir = "" if options.run_dir is None else str(options.run_dir.resolve())
+    return LocalRun(options.run, str(near), run_dir, options.settings.env.name, tls=endpoint.credentials is not None)
 
 
 def _environment(options: LearnerArguments, endpoint: Endpoint) -> EnvironmentSpec:

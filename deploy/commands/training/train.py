@@ -17,6 +17,7 @@ from eia_sec.common.config.checks import within
 from eia_sec.common.config.presets import preset_for
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, UsageError
+from eia_sec.common.farm import farm_of
 from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
@@ -38,6 +39,7 @@ from eia_sec.rollout.start_policy import StartParameters, start_parameters, star
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
 """Seconds between two lines of output without a terminal."""
+IN_BROWSER = {"monitor": "", "watch": "   # in the browser"}
 RUN = "train"
 OPERATOR = "operator.train"
 """Certificate of this process that `--tls` needs besides those of the others."""
@@ -106,8 +108,11 @@ def command(arguments: Sequence[str]) -> int:
     if too_short := shortage(options.settings, environment):
         console.print(too_short, highlight=False, markup=False, soft_wrap=True)
     console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
-    own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
-    console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
+    for reader in ("monitor", "watch") if farm_of(options.settings) is not None else ("monitor",):
+        own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
+        console.print(
+            f"  eia-sec {reader} {shlex.quote(str(directory.path))}{own}{IN_BROWSER[reader]}", highlight=False
+        )
     plan = ProcessPlan(
         options.settings,
         workers,

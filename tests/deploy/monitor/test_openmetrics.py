@@ -122,15 +122,15 @@ def test_mistakes_are_one_sentence(monkeypatch):
     """An address that others reach needs consent; without the extra the command names it."""
     options = monitor.MonitorArguments(openmetrics=0, host="0.0.0.0")
     with pytest.raises(EndpointError, match=r"anybody who reaches 0.0.0.0 could read the figures; add --insecure"):
-        monitor._served(options).__enter__()
+        monitor._served(options, "farm").__enter__()
     monkeypatch.setitem(sys.modules, "eia_sec.deploy.monitor.openmetrics", None)
     with pytest.raises(UsageError, match=r"pip install 'eia-sec\[openmetrics\]'"):
-        monitor._served(monitor.MonitorArguments(openmetrics=0)).__enter__()
+        monitor._served(monitor.MonitorArguments(openmetrics=0), "farm").__enter__()
 
 
 def test_where_the_figures_are_is_said_on_standard_error(capsys):
     """So `--json` stays JSON."""
-    with monitor._served(monitor.MonitorArguments(run="farm-7", openmetrics=0)) as show:
+    with monitor._served(monitor.MonitorArguments(openmetrics=0), "farm-7") as show:
         show(SNAPSHOT)
     printed = capsys.readouterr()
     assert printed.out == ""
