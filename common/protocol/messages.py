@@ -178,7 +178,8 @@ class ConfigurationMessage(Message):
         toml: the run's configuration.
         team: the team's layout, see `eia_sec.common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
-        newest_incarnation: greatest incarnation that the learner knows of the asking worker, or 0.
+        newest_incarnation: number beyond which a new start of the asking worker goes: the greatest that the learner
+            knows of it, or the learner's clock.
     """
 
     KIND, MOST_HEADER = 7, MAX_HEADER

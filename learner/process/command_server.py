@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from eia_sec.common.clock import monotonic
+from eia_sec.common.clock import microseconds, monotonic
 from eia_sec.common.config.environment import unusable_arguments
 from eia_sec.common.errors import ProtocolError
+from eia_sec.common.incarnation import LATEST
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
@@ -60,7 +61,8 @@ class CommandServer:
                 incoming.refuse(f"the learner has no command {verb!r}.")
 
     def _send_configuration(self, incoming: Incoming, command: CommandMessage) -> None:
-        newest = self._newest_incarnation(command.sender)
+        # An earlier start that has not delivered yet is not known; unless its clock was ahead, it is older than now.
+        newest = max(self._newest_incarnation(command.sender), min(microseconds(), LATEST))
         incoming.reply(replace(self._configuration, newest_incarnation=newest).encode())
 
     def _set_arguments(self, incoming: Incoming, command: CommandMessage) -> None:

@@ -293,16 +293,18 @@ class Learner:
         Args:
             state: finished or draining.
         """
-        self._state = state
         self.receiver.room.lift()
-        self._publish_progress()
-        if state == "draining" and not self._options.lockstep:
-            yield from self._feed.drain(self._answer_while_draining)
+        if state == "draining":
+            self._tell(state)
+            if not self._options.lockstep:
+                yield from self._feed.drain(self._answer_while_draining)
         self._feed.close()
         self._publish()
-        self._publish_progress()
         self._checkpoint(wait=True)
         failure = self._storage.write_policy(self.trainer)
+        # Workers end when they hear that a run is finished. Told earlier, they would leave a learner alone that is
+        # killed before its last checkpoint is on disk, and resumes before the end.
+        self._tell(state)
         self._report()
         self._reporter.log_end(state)
         log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")
@@ -315,6 +317,10 @@ class Learner:
         if failure:
             raise EiaSecError(failure)
         self._callbacks.end()  # last: it may raise
+
+    def _tell(self, state: str) -> None:
+        self._state = state
+        self._publish_progress()
 
     def _answer_while_draining(self) -> None:
         self._stop_if_replaced()

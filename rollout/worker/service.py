@@ -360,7 +360,10 @@ def _clock_alarm(newest_incarnation: int) -> str:
     ahead = seconds_ahead(newest_incarnation)
     if ahead < CLOCK_SECONDS:
         return ""
-    return f"an earlier start of this worker had a clock {ahead:.0f} s ahead of this machine's; one of them is wrong"
+    return (
+        f"the clock of this machine is {ahead:.0f} s behind that of the learner or of an earlier start of this "
+        "worker; one of them is wrong"
+    )
 
 
 def serve(options: WorkerOptions) -> None:

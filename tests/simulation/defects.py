@@ -9,6 +9,7 @@ from unittest import mock
 from eia_sec.common import incarnation
 from eia_sec.common.history import summary
 from eia_sec.common.history.history import End, Entry, History
+from eia_sec.common.loops import Loop
 from eia_sec.common.policy_store import PolicyStore
 from eia_sec.elite.service import Coordinator
 from eia_sec.learner.checkpoint import compaction, files, recovery
@@ -18,10 +19,11 @@ from eia_sec.learner.intake.iteration_room import IterationRoom
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.process import epoch
 from eia_sec.learner.process.lease import Lease
+from eia_sec.learner.process.service import Learner
 from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.worker import sender
 
-roll_back = summary._Totals.roll_back
+roll_back, end = summary._Totals.roll_back, Learner._end
 Plant = Callable[[], AbstractContextManager[Any]]
 
 
@@ -51,6 +53,11 @@ def _unfenced() -> AbstractContextManager[Any]:
         return offer(self, message)
 
     return mock.patch.object(PolicyStore, "offer_parameters", unfenced)
+
+
+def _told_first(self: Learner, state: str) -> Loop[None]:
+    self._tell(state)
+    return end(self, state)
 
 
 def _applied_again() -> AbstractContextManager[Any]:
@@ -169,5 +176,8 @@ DEFECTS: Final[dict[str, Plant]] = {
         summary._Totals, "roll_back", _rolled_back_once
     ),
     "a new start ignores the numbers of earlier ones": _forgetful,
+    "workers hear of the end before the last checkpoint is on disk": lambda: mock.patch.object(
+        Learner, "_end", _told_first
+    ),
 }
 """Name of each defect, and how it is planted."""

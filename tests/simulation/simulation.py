@@ -251,16 +251,23 @@ class Simulation:
             self._set_clock(process)
         match process.node.rstrip("0123456789"):
             case "learner":
-                if self.draw.random() < (0.7 if self.bad_machines else 0.2):
-                    self._damage()
+                damaged = self.draw.random() < (0.7 if self.bad_machines else 0.2) and self._damage()
                 self.start_learner(resume=True, node=process.node)
+                if damaged:
+                    self._start_whom_it_needs()
             case "worker":
                 self.start_worker(process.node)
             case "elite":
                 self.start_coordinator(process.node)
 
-    def _damage(self) -> None:
-        """Flip a bit of the newest checkpoint, if there is an older one."""
+    def _start_whom_it_needs(self) -> None:
+        """Start workers that have ended: a finished run whose last checkpoint is lost goes on, as its user wants it."""
+        for process in list(self.processes.values()):
+            if process.node.startswith("worker") and not process.alive and process.node not in self.leavers:
+                self.start_worker(process.node)
+
+    def _damage(self) -> bool:
+        """Flip a bit of the newest checkpoint and return True, if there is an older one."""
         found = sorted(Path(self.home).glob("checkpoints/checkpoint-*"))
         if len(found) >= 2:
             path = found[-1] / self.draw.choice(("tensors.safetensors", "manifest.json"))
@@ -269,6 +276,7 @@ class Simulation:
             path.write_bytes(bytes(data))
             self.world.note(f"{path.parent.name}/{path.name} is damaged")
             self.faults.append("damaged checkpoint")
+        return len(found) >= 2
 
     # Faults.
 

@@ -1,4 +1,4 @@
-"""The learner takes arguments for the run's environments from a command, and refuses what are none."""
+"""Commands to the learner: arguments for the run's environments, and the configuration that a process asks for."""
 
 from types import SimpleNamespace
 
@@ -10,17 +10,17 @@ from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessag
 from eia_sec.learner.process.command_server import CommandServer
 
 
-def asked(arguments):
-    """Send the command; return the server, the answers and the refusals."""
+def asked(arguments=None, verb="arguments", known=0):
+    """Send a command; return the server, the answers and the refusals."""
     answers, refusals = [], []
     request = SimpleNamespace(
-        key=keys.COMMAND.key("run", verb="arguments"),
+        key=keys.COMMAND.key("run", verb=verb),
         payload=CommandMessage("train", arguments).encode(),
         reply=answers.append,
         refuse=refusals.append,
     )
     configuration = ConfigurationMessage(1, "", {}, lockstep=False)
-    server = CommandServer(SimpleNamespace(waiting=lambda: [request]), configuration, lambda worker: 0)
+    server = CommandServer(SimpleNamespace(waiting=lambda: [request]), configuration, lambda worker: known)
     server.answer()
     return server, answers, refusals
 
@@ -39,3 +39,12 @@ def test_what_are_no_arguments_is_refused_and_counted(arguments):
     server, answers, refusals = asked(arguments)
     assert (server.arguments, answers, server.malformed) == ("", [], 1)
     assert "argument" in refusals[0]
+
+
+@pytest.mark.parametrize(("ahead", "beyond"), [(-5_000_000, 0), (0, 0), (5_000_000, 5_000_000)])
+def test_a_new_start_goes_beyond_earlier_ones_that_have_delivered_nothing_yet(monkeypatch, ahead, beyond):
+    """Of these the learner knows no number, but they took theirs before now; a known greater one counts."""
+    now = 1_700_000_000_000_000
+    monkeypatch.setattr("eia_sec.learner.process.command_server.microseconds", lambda: now)
+    _, answers, _ = asked(verb="configuration", known=now + ahead)
+    assert ConfigurationMessage.decode(answers[0]).newest_incarnation == now + beyond
