@@ -58,6 +58,8 @@ REPORT_SECONDS = 2.0
 WORKERS = 3
 BAD_MACHINES = 0.1
 """Share of the seeds in which machines crash often, and come back with another clock and a damaged checkpoint."""
+BAD_ENDS = 0.05
+"""Share of the seeds whose learner is killed while it writes its last checkpoint."""
 HARMLESS = (
     "bad network",
     "cut a machine off",
@@ -125,8 +127,10 @@ class Simulation:
         self.starts = 0
         self.faults: list[str] = []
         self.finished = self.ending = self.stopped = False
-        # A stream of its own, so that all other seeds stay what they were.
+        # Streams of their own, so that all other seeds stay what they were.
         self.bad_machines = random.Random(f"machines {seed}").random() < BAD_MACHINES
+        end = random.Random(f"end {seed}")
+        self.last_steps = end.randrange(1, 25) if end.random() < BAD_ENDS else None
         self.leavers: set[str] = set()
         world.on_death.append(self._died)
 
@@ -159,6 +163,7 @@ class Simulation:
                 RUN, ENDPOINT, False, self.home, resume=resume, lockstep=self.lockstep, await_elite=expects
             )
             learner = process.parts["learner"] = Learner(options, self.config, ENVIRONMENT, control, bulk)
+            self._end_badly(process, learner)
             self.judge.check_resume(process)
             self.world.start(process, _forever(learner.receiver.receive))
             finished = yield from learner.run(stop)
@@ -167,6 +172,18 @@ class Simulation:
             learner.receiver.close()
 
         self.world.start(process, loop())
+
+    def _end_badly(self, process: Process, learner: Learner) -> None:
+        """Kill a learner, in some seeds and once, while it writes the last checkpoint of its life."""
+        write = learner._checkpoint
+
+        def last(*, wait: bool = False) -> None:
+            if wait and self.last_steps is not None:
+                process.fuse, self.last_steps = self.last_steps, None
+                self.faults.append("kill the learner at its end")
+            write(wait=wait)
+
+        learner._checkpoint = last  # type: ignore[method-assign]  # of this learner alone
 
     def start_worker(self, node: str) -> None:
         """Start a worker."""

@@ -31,6 +31,7 @@ QUICKLY = {
     "a checkpoint is renamed before it is on disk": 0,
     "a new start ignores the numbers of earlier ones": 4,
     "totals keep what a second resume rolls back": 214,
+    "workers hear of the end before the last checkpoint is on disk": 60,
 }
 """Defects that one of the first seeds finds, and that seed; `make test` plants these."""
 
@@ -61,7 +62,7 @@ def test_every_promise_holds_under_many_seeds():
     """Twenty thousand runs, the two hundred included; every kind of fault comes in hundreds of them."""
     met: Counter[str] = Counter()
     assert failures(range(NIGHTLY), met) == []
-    assert len(met) == 20
+    assert len(met) == 21
     assert min(met.values()) > NIGHTLY // 100
 
 
