@@ -29,6 +29,9 @@ MOST_RECENT: Final = 1024
 """Most plots or sensors that a pose repeats, the newest."""
 LONGEST_VALIDITY: Final = 10.0
 """Longest validity of a set-point that is obeyed, s."""
+OLDEST_POSE: Final = 2.0
+"""Oldest pose on which a decision is obeyed, besides the set-point's validity, s. A link that was held up brings old
+set-points at once."""
 HOVER: Final = (0.0, 0.0)
 
 
@@ -191,6 +194,8 @@ class VehicleLink:
             raise SchemaError("the set-point is for another agent.")
         if any(abs(part) > most for part, most in zip(message.velocity, self._fastest, strict=True)):
             raise SchemaError("the set-point is faster than this vehicle may fly.")
+        if not message.hover and self._clock() - message.stamp / 1e6 > message.validity + OLDEST_POSE:
+            raise ProtocolError("the set-point follows from a pose that is too old.")
         if message.hover and any(message.velocity):
             raise SchemaError("a hover set-point must have velocity 0.")
         if not 0.0 < message.validity <= LONGEST_VALIDITY:

@@ -27,15 +27,15 @@ from eia_sec.common.errors import SimulationError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
+from eia_sec.deploy.commands.policies.fly import FlyArguments, make_decider
 from eia_sec.deploy.exit_codes import run_command
-from eia_sec.deploy.flight.deciders import HeuristicDecider
 from eia_sec.deploy.flight.mavlink import BridgeOptions, MavlinkBridge
 from eia_sec.deploy.flight.vehicle import VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.followed_farm import sensor_numbers
 from eia_sec.rollout.heuristics.farms import make_farms
 from eia_sec.rollout.heuristics.inertia import glide
-from eia_sec.rollout.heuristics.registry import heuristic
+from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm, densest_direction
 from eia_sec.rollout.sim.reference.power import flight_power
@@ -58,7 +58,7 @@ class Arguments:
     """Fly one farm through the bridge."""
 
     policy: str = "lawnmower"
-    """A heuristic."""
+    """A heuristic, a policy that ships or a policy file."""
     preset: str = "inertial"
     """The farm's preset."""
     farm: int = 1000
@@ -159,7 +159,7 @@ def fly(arguments: Arguments) -> dict[str, Any]:
     config, clock, air = PRESETS[arguments.preset].farm, Clock(), Air()
     judge = Judge(config, make_layout(config, arguments.farm), episode_seed(arguments.farm, 0))
     numbers = sensor_numbers(config, judge.layout)
-    decider = HeuristicDecider(heuristic(arguments.policy, config))
+    decider = make_decider(FlyArguments(policy=arguments.policy), config)
     pilot = make_pilot(config, decider, seed=arguments.farm, clock=clock)
     names = farm_team(config).agent_names
     fastest = config.world.speed_x_max, config.world.speed_y_max
@@ -226,7 +226,7 @@ def _arm(rotors: Iterable[Rotor]) -> None:
 
 def simulate(arguments: Arguments, config: FarmConfig) -> float:
     """Return the reward per agent of the same steps in the farm's own simulator."""
-    farms, policy = make_farms(config, 1), heuristic(arguments.policy, config)
+    farms, policy = make_farms(config, 1), policy_of(arguments.policy, config)
     farms.reset(0, arguments.farm, episode_seed(arguments.farm, 0))
     policy.reset(farms, 0)
     for _ in range(arguments.steps):

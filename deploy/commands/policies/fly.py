@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from eia_sec.common.config import FarmConfig, RunConfig
-from eia_sec.common.config.checks import positive, within
+from eia_sec.common.config.checks import within
 from eia_sec.common.config.files import from_toml, to_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import RunDirError, UsageError
@@ -25,7 +25,7 @@ from eia_sec.deploy.flight.node import FlightNode, NodeOptions
 from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
 from eia_sec.deploy.flight.record import FlightRecord
-from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY
+from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY, OLDEST_POSE
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.options import parse
 from eia_sec.rollout.farm_files.projection import TangentPlane
@@ -70,7 +70,8 @@ class FlyArguments:
     validity: float = 0.5
     """Seconds for which a vehicle may follow a set-point; after that it hovers by itself."""
     max_age: float = 1.0
-    """Oldest pose that is used, and largest difference between the vehicle's clock and this machine's, seconds."""
+    """Oldest pose that is used, and largest difference between the vehicle's clock and this machine's, seconds; at most
+    2, because vehicles refuse decisions on older ones."""
     lockstep: bool = False
     """Begin each step when all vehicles have flown the one before instead of by the clock; for `eia-sec simulator`."""
     record: Path | None = None
@@ -89,7 +90,7 @@ def command(arguments: Sequence[str]) -> int:
     within(0, 2**62, farm=options.farm)
     within(0.1, 1000.0, rate=options.rate)
     within(1.0 / options.rate, LONGEST_VALIDITY, validity=options.validity)
-    positive(max_age=options.max_age)
+    within(0.01, OLDEST_POSE, max_age=options.max_age)
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")

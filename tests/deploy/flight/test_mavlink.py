@@ -39,7 +39,8 @@ class Flight:
             self._number += 1
             if self.node and self._number % 2:
                 message = SetpointMessage(
-                    *(AGENT, self.velocity, (), 20.0, 0.0, (0.0, 0.0), False, "", 1, self._number, 0.5, 1, 0.0)
+                    *(AGENT, self.velocity, (), 20.0, 0.0, (0.0, 0.0), False, "", 1, self._number, 0.5),
+                    *(int(self.clock.now * 1e6), 0.0),
                 )
                 self._out.put(message.encode(), Envelope("flight", "main", 1, self._number).encode())
             self.autopilot.turn()

@@ -35,7 +35,7 @@ class Both:
             "decision": sequence,
             "period": sequence,
             "validity": 0.5,
-            "stamp": 1,
+            "stamp": int(self.clock.now * 1e6),
             "latency": 0.0,
         }
         message = SetpointMessage(**{**whole, **changes})
@@ -90,6 +90,17 @@ def test_a_vehicle_hovers_by_itself_when_the_validity_is_over(both):
     assert both.link.lapses == 1
     assert both.link.silent == pytest.approx(3.55)
     assert both.send(1, 2)
+
+
+def test_set_points_that_were_held_up_are_not_obeyed(both):
+    """A link that was frozen brings old ones at once; by the vehicle's own clock their pose is too old."""
+    stamp = int(both.clock.now * 1e6)
+    assert both.send(1, 1, stamp=stamp)
+    both.clock.now += 2.4
+    assert both.send(1, 2, stamp=stamp)
+    both.clock.now += 0.2
+    assert not both.send(1, 3, stamp=stamp)
+    assert both.send(1, 4, (0.0, 0.0), hover=True, stamp=0)
 
 
 def test_one_node_at_a_time_is_obeyed_and_both_are_told(both):
