@@ -38,7 +38,8 @@ STRAIGHT: Final = 0.001
 def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors whose stops are blocks of two by two plots. They image one plot per step."""
     boxes = plot_boxes(state.config)
-    return TourFollower([boxes[:, list(plots)] for plots in plot_tours(state.config.world)], MONITORS, state)
+    routes = [boxes[:, list(plots)] for plots in plot_tours(state.config.world)]
+    return TourFollower(routes, MONITORS, state, through=state.config.dynamics.inertial)
 
 
 def collectors(state: FarmState) -> GroupPolicy:
@@ -48,7 +49,8 @@ def collectors(state: FarmState) -> GroupPolicy:
     stops, random = boxes.mean(axis=0), stream("tour", "sensors", *state.seeds)
     tours = tours_beside_monitors(stops, world) if state.config.relay.require_link else []
     tours = tours or grouped_tours(stops, world.collection_uavs, world, random, RESTARTS)
-    return TourFollower([boxes[:, tour] for tour in tours], COLLECTORS, state)
+    routes = [boxes[:, tour] for tour in tours]
+    return TourFollower(routes, COLLECTORS, state, through=state.config.dynamics.inertial)
 
 
 @functools.lru_cache(maxsize=8)
