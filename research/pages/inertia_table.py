@@ -46,7 +46,8 @@ def inertia_block(data: dict[str, Any]) -> str:
             {met}."""
         base = next((result for result in data["results"] if result["policy"] == UNTRAINED), None)
         if base:
-            text += f" The untrained team earns {base['reward'][0] / mean:.2f} times what they do."
+            half = "less" if base["reward"][0] < 0.5 * mean else "not less"
+            text += f" The untrained team earns {base['reward'][0]:.0f}, {half} than half of what they do."
         parts += [wrapped(text), ""]
     return "\n".join(parts)
 
