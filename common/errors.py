@@ -19,6 +19,7 @@ EiaSecError
 ├── SimulationError            a simulated farm used against its contract
 ├── EnvironmentOutageError     a simulator or robot that is away for a while, as its environment says
 ├── CancelledError             work that was given up because its process ends
+├── GroupError                 a group of learners that has lost a member, or whose members differ
 ├── HostError                  a host of a fleet that cannot be reached, or on which a command failed
 ├── CheckpointError            a checkpoint that is truncated, corrupted or of another layout
 └── BusError                   the bus cannot do what was asked
@@ -108,6 +109,10 @@ class EnvironmentOutageError(EiaSecError):
 
 class CancelledError(EiaSecError):
     """Work that was given up because its process ends."""
+
+
+class GroupError(EiaSecError):
+    """A group of learners that has lost a member, or whose members hold different parameters; all of it ends."""
 
 
 class HostError(EiaSecError):

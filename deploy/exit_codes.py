@@ -1,4 +1,4 @@
-"""Exit codes: 0 done, 1 failed, 2 a user's mistake, 130 interrupted, 143 ended by SIGTERM."""
+"""Exit codes: 0 done, 1 failed, 2 a user's mistake, 3 a group of learners broke, 130 interrupted, 143 SIGTERM."""
 
 import errno
 import os
@@ -7,18 +7,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, TextIO
 
-from eia_sec.common.errors import CancelledError, EiaSecError, UsageError
+from eia_sec.common.errors import CancelledError, EiaSecError, GroupError, UsageError
 from eia_sec.common.text import printable_lines
 from eia_sec.deploy.output import FULL
 
 DONE: Final = 0
 FAILED: Final = 1
 USAGE: Final = 2
+GROUP: Final = 3
+"""The learner's group has lost a member, or its members differ; a supervisor starts all of it again."""
 INTERRUPTED: Final = 130
 """128 + SIGINT, as in shells."""
 PIPE_CLOSED: Final = 141
 """128 + SIGPIPE: the reader of the output, such as `| head`, has exited."""
-OUR_CODES: Final = (DONE, FAILED, USAGE, INTERRUPTED, PIPE_CLOSED, 143)
+OUR_CODES: Final = (DONE, FAILED, USAGE, GROUP, INTERRUPTED, PIPE_CLOSED, 143)
 """All that a command of ours ends with; the last is 128 + SIGTERM."""
 CLOSED: Final = (errno.EACCES, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """Errors of paths that lead nowhere or where this user may not go."""
@@ -35,11 +37,11 @@ def run_command(command: Callable[[], int | None]) -> int:
     """
     try:
         code = _flushed(command)
-    except UsageError as error:
-        return _complain(str(error), USAGE)
     except EiaSecError as error:
         # Whoever is ended while it waits has done what it was asked to.
-        return DONE if isinstance(error, CancelledError) else _complain(str(error) or type(error).__name__, FAILED)
+        return (
+            DONE if isinstance(error, CancelledError) else _complain(str(error) or type(error).__name__, _code(error))
+        )
     except KeyboardInterrupt:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
@@ -48,6 +50,10 @@ def run_command(command: Callable[[], int | None]) -> int:
     except OSError as error:
         return _complain(*_of_system(error))
     return DONE if code is None else code
+
+
+def _code(error: EiaSecError) -> int:
+    return next((code for kind, code in ((UsageError, USAGE), (GroupError, GROUP)) if isinstance(error, kind)), FAILED)
 
 
 def _flushed(command: Callable[[], int | None]) -> int | None:

@@ -105,6 +105,12 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "time since this start: the learner waits for data, imitation and checkpoint, and trains; producers, which "
             "overlaps these, is the time in which workers had to wait",
         ),
+        Metric("group/learners", "learners", "learners that make the updates together"),
+        Metric(
+            "group/exchange_seconds",
+            "s",
+            "part of training: time in which the leader exchanges rows and gradients and waits for slower learners",
+        ),
         *_account("ledger", "all workers"),
         Metric(
             "ledger/unexplained",

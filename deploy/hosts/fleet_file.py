@@ -23,6 +23,7 @@ from eia_sec.common.names import check_name
 from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.regular_files import read_regular_text
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.learners import require_learners
 from eia_sec.deploy.options import base_configuration, with_settings
 
 LOCAL: Final = "local"
@@ -91,6 +92,8 @@ class LearnerSpec:
     """Name of its host."""
     gpus: int = 0
     """GPUs that its container requests; training.set chooses them, with learner.device = "cuda"."""
+    learners: int = 1
+    """Learner processes on its host that make the updates together (on policy)."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,9 @@ def read(path: Path) -> FleetSpec:
         raise ConfigError(f"{path} is not valid TOML: {str(error).lower().rstrip('.')}.") from error
     try:
         fleet = _complete(replace(_table(FleetSpec, table, ""), path=path))
-        return replace(fleet, config=_configuration(fleet))
+        config = _configuration(fleet)
+        require_learners(config, fleet.learner.learners, lockstep=False)
+        return replace(fleet, config=config)
     except UsageError as error:
         raise ConfigError(f"{path}: {error}") from error
 

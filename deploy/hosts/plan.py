@@ -113,7 +113,9 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
     resumed = "--resume-if-any" if places.begins else "--resume"
     kept = ("--run-dir", places.run_dir, *trained, resumed, "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
-    arguments = ("learner", *plugin_options(fleet.config), "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
+    several = () if fleet.learner.learners == 1 else ("--learners", str(fleet.learner.learners))
+    named = plugin_options(fleet.config)
+    arguments = ("learner", *named, "--run", fleet.run, *met, *_shared(fleet), *kept, *several, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
 
 

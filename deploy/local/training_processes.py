@@ -42,6 +42,7 @@ class ProcessPlan:
         router: whether a router listens there.
         lockstep, resume, shared_memory: as `eia-sec train` has them.
         tls: folder with a certificate for each process, or None.
+        learners: learners that make the updates together; the first one starts the others.
     """
 
     config: RunConfig
@@ -54,6 +55,7 @@ class ProcessPlan:
     resume: bool = False
     shared_memory: bool = False
     tls: Path | None = None
+    learners: int = 1
 
 
 class TrainingProcesses:
@@ -88,6 +90,7 @@ class TrainingProcesses:
         learner += ["--config", str(folder / CONFIG), "--await-elite"]
         learner += ["--lockstep"] if plan.lockstep else []
         learner += ["--resume"] if plan.resume else []
+        learner += [] if plan.learners == 1 else ["--learners", str(plan.learners)]
         again = [] if plan.resume or plan.lockstep else ["--resume"]
         self.supervisor.start("learner", learner, plan.config.learner.threads, again)
         joining = [*named, "--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]

@@ -9,7 +9,7 @@ are no local value functions: V_P,i is the ensemble's mean, and at the parting e
 method's other half, elite imitation, acts on the actors between iterations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -70,6 +70,14 @@ class MixedValue(GroupValue):
             seen, wanted, shared = _share(index, len(self.members), own, returns, part)
             losses.append((member(seen, shared).squeeze(-1) - wanted).square().mean())
         return torch.stack(losses).sum()
+
+    def rows_learnt(self, rows: int) -> Iterator[tuple[nn.Parameter, int]]:
+        """See `GroupValue`; without memory a member learns from every k_s-th row."""
+        if self.local is not None:
+            yield from self.local.rows_learnt(rows)
+        for index, member in enumerate(self.members):
+            own = len(range(index % max(1, rows), rows, len(self.members)))
+            yield from ((parameter, own) for parameter in member.parameters())
 
 
 def _share(

@@ -30,6 +30,8 @@ from eia_sec.learner.checkpoint.trainer_state import (
     require_moments,
     restored_random,
 )
+from eia_sec.learner.group.process_group import ProcessGroup
+from eia_sec.learner.group.updates import LeadingUpdates
 from eia_sec.learner.intake.limits import DRAINED_CHUNKS
 from eia_sec.learner.on_policy.experience import Experience
 from eia_sec.learner.on_policy.normalisation import require_scales
@@ -51,6 +53,7 @@ class OnPolicyTrainer(Trainer):
     Args:
         config: the run.
         team: the layout of the team.
+        group: the learners that make the updates together, which this one leads; None for this one alone.
 
     Attributes:
         iterations: iterations done.
@@ -61,11 +64,12 @@ class OnPolicyTrainer(Trainer):
     publishes_at_once: ClassVar[bool] = True
     burst: ClassVar[int] = 1
 
-    def __init__(self, config: RunConfig, team: TeamSpec) -> None:
+    def __init__(self, config: RunConfig, team: TeamSpec, group: ProcessGroup | None = None) -> None:
         super().__init__(config, team)
         self._algorithm = config.on_policy
         self.separate_since = None if self._algorithm.shared else 0
-        self._updates = Updates(self._algorithm, team, config.seed, config.learner)
+        arguments = self._algorithm, team, config.seed, config.learner
+        self._updates = Updates(*arguments) if group is None else LeadingUpdates(*arguments, group)
         self.random = stream(config.seed, "minibatches")
         self.experience, self.following = Experience(), Experience()
         self.iterations = 0

@@ -109,7 +109,7 @@ class Updates:
         A loss is a mean over a type's n agents, so an agent's network gets an n-th of the gradient that a shared one
         gets. Adam's moments shrink with it, so that steps stay as long.
         """
-        found = Updates(replace(self._config, shared_until=0.0), self._team, self._seed, self._learner)
+        found = self._with(replace(self._config, shared_until=0.0))
         shared = dict(self.network_tensors())
         with torch.no_grad():
             for name, tensor in found.network_tensors():
@@ -119,6 +119,10 @@ class Updates:
                 tensor.copy_((own / copies**power).expand_as(tensor))
         found.diagnostics = self.diagnostics
         return found
+
+    def _with(self, config: OnPolicyConfig) -> "Updates":
+        """Return fresh updates of another configuration."""
+        return Updates(config, self._team, self._seed, self._learner)
 
     def begin(self, rows: Rows, steps: int) -> None:
         """Compute values, advantages and returns of an iteration's rows.
@@ -187,6 +191,14 @@ class Updates:
     @torch.no_grad()
     def _decouple(self, rows: Rows) -> None:
         """Replace the behaviour policy by the present actors, and weight the advantages."""
+        newest = self._newest_log_probability(rows)
+        weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
+        self._rows["log_probability"] = newest
+        self._rows["advantage"] = self._rows["advantage"] * weight
+
+    @torch.no_grad()
+    def _newest_log_probability(self, rows: Rows) -> Tensor:
+        """Return log pi(a | o) [R, agents] of the present actors in the rows from which a step follows."""
         newest = self._rows["log_probability"].clone()
         samples = self.samples(rows)
         for part in np.array_split(samples, min(len(samples), -(-rows.steps // VALUE_BATCH))):
@@ -194,9 +206,7 @@ class Updates:
             actions = enumerate(split_actions(self._team, self._rows["action"][places]))
             tasks = [partial(self._log_probability, kind, places, action, sequences) for kind, action in actions]
             newest[places] = torch.cat(self._side_by_side.run(tasks), dim=1)
-        weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
-        self._rows["log_probability"] = newest
-        self._rows["advantage"] = self._rows["advantage"] * weight
+        return newest
 
     @torch.no_grad()  # which each thread asks for itself
     def _log_probability(self, kind: int, places: Tensor, action: Tensor, sequences: TypeSequences | None) -> Tensor:
@@ -249,8 +259,11 @@ class Updates:
 
     def minibatches(self, rows: Rows, random: np.random.Generator) -> list[NDArray[np.int64]]:
         """Shuffle the samples and cut them into minibatches of equal size, but for one sample."""
-        count = max(1, round(rows.steps / self._config.minibatch_steps))
-        return np.array_split(random.permutation(self.samples(rows)), count)
+        return np.array_split(random.permutation(self.samples(rows)), self._count(rows))
+
+    def _count(self, rows: Rows) -> int:
+        """Return how many minibatches an epoch has."""
+        return max(1, round(rows.steps / self._config.minibatch_steps))
 
     def update(self, samples: NDArray[np.int64], progress: float) -> None:
         """Do one update from a minibatch; `progress` is the finished share of the run, 0 to 1."""
@@ -270,10 +283,21 @@ class Updates:
     def _learn(self, batch: Minibatch) -> list[dict[str, Tensor]]:
         """Take one step of Adam for each type; return what was measured of each."""
         self._adam.zero_grad()
+        found = self._gradients(batch)
+        networks: list[nn.Module] = [*self.policies.stacks, *self.values]
+        norms = self._side_by_side.run([partial(self._clipped, each) for each in networks])
+        self._adam.step(batch.rate_share)
+        for kind, measured in enumerate(found):
+            if not batch.stopped[kind]:
+                measured["actor_gradient"] = norms[kind]
+            measured["value_gradient"] = norms[len(found) + kind]
+        return found
+
+    def _gradients(self, batch: Minibatch) -> list[dict[str, Tensor]]:
+        """Compute the gradients of all networks side by side; return what was measured of each type."""
         kinds = range(len(self._groups))
         gradients = self._actor_gradient, self._value_gradient
         found = self._side_by_side.run([partial(gradient, kind, batch) for gradient in gradients for kind in kinds])
-        self._adam.step(batch.rate_share)
         return [found[kind] | found[len(kinds) + kind] for kind in kinds]
 
     def _own(self, places: Tensor, kind: int) -> Tensor:
@@ -281,7 +305,7 @@ class Updates:
         return self._seen.own[kind].index_select(0, places)
 
     def _actor_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
-        """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
+        """Compute the gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if batch.stopped[kind]:
             return {}
         part = self.algorithm.actor_loss(kind, batch)
@@ -291,14 +315,13 @@ class Updates:
             "entropy": part.entropy,
             "kl": part.kl,
             "clipped_share": part.clipped,
-            "actor_gradient": self._clipped(self.policies.stacks[kind]),
         }
 
     def _value_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
-        """Compute the clipped gradient of a type's value functions; return what was measured."""
+        """Compute the gradient of a type's value functions; return what was measured."""
         loss = self.algorithm.value_loss(kind, batch)
         loss.backward()
-        return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
+        return {"value_loss": loss.detach()}
 
     def end_epoch(self) -> None:
         """Stop the actors of types that have moved too far from the policy under the ratio."""

@@ -4,6 +4,7 @@ Every network regresses to the return by itself (A7): L = mean((V - R)^2), over 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 from torch import Tensor, nn
 
@@ -36,3 +37,7 @@ class GroupValue(nn.Module, ABC):
     def loss(self, team: Tensor, own: Tensor, returns: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return mean((V - R)^2) against the returns [B, n]."""
         return (self.value(team, own, sequences) - returns).square().mean()
+
+    def rows_learnt(self, rows: int) -> Iterator[tuple[nn.Parameter, int]]:
+        """Yield each parameter, and how many of a minibatch's rows its gradient is a mean over."""
+        yield from ((parameter, rows) for parameter in self.parameters())

@@ -1,11 +1,13 @@
 """How a learner is started."""
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from eia_sec.common.team import Float32
 from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.learner.group.process_group import ProcessGroup
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class LearnerOptions:
         await_elite: whether to wait for late imitation events even before a coordinator has connected.
         start: returns the parameters with which each type's actors begin, None for fresh ones; nothing at all if all
             begin fresh. Not called if a checkpoint is restored.
+        group: makes the group of learners that this one leads (on policy), or none; called once the sessions are open.
     """
 
     run: str
@@ -34,3 +37,4 @@ class LearnerOptions:
     patience: float = 60.0
     await_elite: bool = False
     start: Callable[[], Sequence[Float32 | None]] = tuple
+    group: Callable[[], AbstractContextManager[ProcessGroup | None]] = nullcontext

@@ -26,6 +26,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.learner.checkpoint.compaction import HistoryCompaction
 from eia_sec.learner.checkpoint.recovery import last_epoch, recover_losses
 from eia_sec.learner.checkpoint.storage import RunStorage
+from eia_sec.learner.group.process_group import Order, ProcessGroup
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
@@ -62,6 +63,7 @@ class Learner:
         environment: the run's environment.
         control: the control lane.
         bulk: the bulk lane, on which chunks arrive.
+        group: the learners that make the updates together (on policy), which this one leads; None for this one alone.
 
     Attributes:
         trainer: networks, replay and counters.
@@ -69,11 +71,17 @@ class Learner:
     """
 
     def __init__(
-        self, options: LearnerOptions, config: RunConfig, environment: EnvironmentSpec, control: Bus, bulk: Bus
+        self,
+        options: LearnerOptions,
+        config: RunConfig,
+        environment: EnvironmentSpec,
+        control: Bus,
+        bulk: Bus,
+        group: ProcessGroup | None = None,
     ) -> None:
-        self._options, self._config, team = options, config, environment.team
+        self._options, self._config, self._group, team = options, config, group, environment.team
         warm_up(config, team)
-        self.trainer = make_trainer(config, team)
+        self.trainer = make_trainer(config, team, group)
         self._storage = RunStorage(options.run_dir, config)
         ledger, elapsed = self._restore()
         self._compaction = HistoryCompaction(self._history, config.learner.keep_checkpoints)
@@ -90,6 +98,7 @@ class Learner:
         self._reporter.add(lambda: {"arguments": self._commands.arguments})
         self._reporter.add(self._imitations.metrics, self._imitations.alarms)
         self._reporter.add(lambda: {"waits": self._times.seconds()})
+        self._reporter.add(lambda: {"group": _group_metrics(group)})
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
         self._reporter.add(alarms=lambda: [self._history.failure])
         if options.listen:
@@ -272,6 +281,8 @@ class Learner:
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(monotonic())
+        if self._group is not None:
+            self._group.order(Order.NOTHING)
         self._storage.require_same_directory()
         self._membership.update()
         self.receiver.throttle.release()
@@ -327,6 +338,10 @@ class Learner:
         self._commands.answer()
 
 
+def _group_metrics(group: ProcessGroup | None) -> dict[str, float]:
+    return {"learners": group.size if group else 1, "exchange_seconds": group.seconds if group else 0.0}
+
+
 def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSpec) -> bool:
     """Run the learner until it is done; return whether the run is finished.
 
@@ -340,6 +355,7 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
         RunDirError: when the run directory belongs to another configuration.
         ConfigError: when the device does not exist, or the algorithm cannot train the team.
         CheckpointError: when a resumed run has checkpoints and all are damaged, or the newest whole one does not fit.
+        GroupError: when another learner of its group is gone, or holds other parameters.
         DivergenceError: when actors are no longer finite.
         UsageError: when a newer learner has taken over, or the worker of a lockstep run was restarted.
         EiaSecError: when the final policy cannot be written.
@@ -353,8 +369,8 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
             return Bus.listen(options.endpoint, "bulk" if name == "bulk" else "control")
         return connect(options.endpoint, name, stop, options.patience)
 
-    with lane("control") as control, lane("bulk") as bulk:
-        learner = Learner(options, config, environment, control, bulk)
+    with lane("control") as control, lane("bulk") as bulk, options.group() as group:
+        learner = Learner(options, config, environment, control, bulk, group)
         receiver = learner.receiver
         receiving = in_thread("receiver", receiver.receive())
         try:

@@ -17,6 +17,8 @@ from eia_sec.common.log import log
 from eia_sec.common.names import check_name
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.learner_group import following, leading
+from eia_sec.deploy.local.learners import given_place, leaders_place, require_learners
 from eia_sec.deploy.local.local_runs import LocalRun, listed
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.local.served_environments import tried_spec
@@ -63,6 +65,8 @@ class LearnerArguments:
     """Seconds to wait for a router."""
     lockstep: bool = False
     """Alternate strictly with one worker: the result is bit-equal to training in a single process."""
+    learners: int = 1
+    """Learners on this machine that make the updates together, each with a share of every minibatch (on policy)."""
     await_elite: bool = False
     """Hold new experience for up to 20 s when an imitation event is a full cycle late, even before a coordinator
     has joined; for launchers that start one."""
@@ -70,10 +74,16 @@ class LearnerArguments:
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Run the learner until the run ends; return 0."""
+    """Run the learner, or follow another one, until the run ends; return 0."""
+    given = given_place()
+    if given is not None and given.rank:
+        following(given)
+        return 0
     defaults = LearnerArguments(settings=base_configuration(arguments))
     options = parse(LearnerArguments, arguments, "learner", defaults)
     within(0.0, 1e9, patience=options.patience)
+    place = leaders_place(options.learners, insecure=options.insecure)
+    require_learners(options.settings, place.size, lockstep=options.lockstep)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
     resume = options.resume
@@ -113,6 +123,7 @@ def command(arguments: Sequence[str]) -> int:
                 patience=options.patience,
                 await_elite=options.await_elite,
                 start=partial(_start, options.settings, environment.team),
+                group=partial(leading, place, options.settings, environment.team),
             ),
             options.settings,
             environment,

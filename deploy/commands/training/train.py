@@ -24,6 +24,7 @@ from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.environment_trial import tried
+from eia_sec.deploy.local.learners import require_learners
 from eia_sec.deploy.local.run_directory import RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -57,6 +58,8 @@ class TrainArguments:
     workers: int | None = None
     """Number of rollout workers. Default: one, or two where UAVs see plans and there are cores for them (and,
     with --tls, a certificate)."""
+    learners: int = 1
+    """Learner processes that make the updates together, each with a share of every minibatch (on policy)."""
     run_dir: Path | None = None
     """Run directory. Default: runs/PRESET-TIME."""
     resume: bool = False
@@ -83,6 +86,7 @@ def command(arguments: Sequence[str]) -> int:
     if options.resume and options.run_dir is None:
         raise UsageError("--resume needs --run-dir.")
     workers = worker_count(options)
+    require_learners(options.settings, options.learners, lockstep=options.lockstep)
     endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
@@ -123,6 +127,7 @@ def command(arguments: Sequence[str]) -> int:
         resume=options.resume,
         shared_memory=options.shared_memory,
         tls=options.tls,
+        learners=options.learners,
     )
     training = _Training(plan, console)
     training.run()
@@ -174,6 +179,7 @@ def command_line(arguments: Sequence[str], options: TrainArguments, workers: int
 def resume_command(options: TrainArguments, run: Path) -> str:
     """Return the command that goes on with a run, with what no configuration holds: workers, keys and environment."""
     more = "" if options.workers is None else f" --workers {options.workers}"
+    more += "" if options.learners == 1 else f" --learners {options.learners}"
     more += "" if options.tls is None else f" --tls {options.tls}"
     more += " --shared-memory" if options.shared_memory else ""
     named = [shlex.quote(word) for word in code_options(options.settings)]

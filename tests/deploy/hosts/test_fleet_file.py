@@ -84,6 +84,14 @@ def test_without_a_router_the_learner_listens(tmp_path):
     assert fleet.listener == ("learner", "learner")
 
 
+def test_several_learners_are_the_learners_option(tmp_path):
+    """The fleet's one learner process starts the others itself."""
+    fleet = read(written(tmp_path, SMALL.replace("learner]", "learner]\nlearners = 2")))
+    learner, *others = processes(fleet, here(fleet))
+    assert learner.arguments[learner.arguments.index("--learners") + 1] == "2"
+    assert len(others) == 2
+
+
 def test_shared_memory_is_for_those_that_move_transitions(tmp_path):
     """Router, learner and workers get the option; the coordinator has nothing to do with transitions."""
     text = SMALL + '[router]\nhost = "a"\n[network]\nshared_memory = true\n'
@@ -126,6 +134,11 @@ def test_training_is_resolved(tmp_path):
         (SMALL.replace("= 1", "= true"), "hosts.a.workers must be a whole number"),
         (SMALL.replace("= 1", "= 5000"), "hosts.a.workers must be 0 to 1024"),
         (SMALL.replace("learner]", "learner]\ngpus = -1"), "learner.gpus"),
+        (SMALL.replace("learner]", "learner]\nlearners = 0"), "learners"),
+        (
+            SMALL.replace("learner]", "learner]\nlearners = 2") + '[training]\npreset = "eia-sec"\n',
+            "eia-sec learns from a replay buffer",
+        ),
         (SMALL.replace('= "a"', '= "b"'), "learner.host must be one of the hosts a, not 'b'"),
         (SMALL + '[router]\nhost = "c"\n', "router.host"),
         (SMALL + '[hosts."a b"]\n', "'a b' must be"),

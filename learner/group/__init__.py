@@ -1,0 +1,1 @@
+"""Several learner processes that update the same networks."""
