@@ -3,10 +3,13 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.deploy.local.local_runs import local_runs
 from eia_sec.deploy.local.run_directory import METRICS
 from eia_sec.deploy.reports.run_report import read_metrics
 from tests.system.fleet import TINY, until
@@ -125,3 +128,22 @@ def test_a_run_directory_is_used_by_one_at_a_time(training: Training) -> None:
     first.send_signal(signal.SIGTERM)
     assert first.wait(30.0) == 0
     time.sleep(0.1)
+
+
+def test_a_monitor_finds_the_run_of_a_directory(training: Training) -> None:
+    """The banner names the command, it shows the run, and afterwards the run is listed no more."""
+    training.config.write_text(LONG, encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 1, "training")
+    assert f"eia-sec monitor {training.run_dir}" in training.output.read_text()
+    command = [sys.executable, "-m", "eia_sec.deploy.cli", "monitor", str(training.run_dir), "--json", "--seconds", "6"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert json.loads(done.stdout.splitlines()[-1])["state"] == "training"
+    assert [run.run_dir for run in local_runs()] == [str(training.run_dir)]
+    assert training.process is not None
+    training.process.send_signal(signal.SIGTERM)
+    assert training.wait(30.0) == 0
+    assert local_runs() == []
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr == f"eia-sec: no run is training in {training.run_dir}; none is training on this machine.\n"
