@@ -257,7 +257,7 @@ def _onnx() -> Any:
     """Return the package onnx; raise PolicyError if it is missing."""
     try:
         import onnx  # noqa: PLC0415 - an extra that few users need
-        import onnx.numpy_helper  # noqa: PLC0415 - likewise
+        import onnx.numpy_helper  # noqa: PLC0415 - the same extra
     except ImportError:
         raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
     return onnx
