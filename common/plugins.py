@@ -149,6 +149,11 @@ def heuristic(name: str) -> Any:
     return None
 
 
+def heuristic_at(where: str) -> Any:
+    """Return a new heuristic of the class that module:name names, as `heuristic` does."""
+    return _Heuristic(where, f"heuristic {where}")
+
+
 class _Heuristic:
     """A plug-in's heuristic.
 

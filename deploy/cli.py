@@ -48,6 +48,9 @@ COMMANDS: Final = {
     "replay": Command(
         "eia_sec.deploy.commands.policies.replay", "compare two policies on one farm: a film and their flight paths"
     ),
+    "record": Command(
+        "eia_sec.deploy.commands.policies.record", "record what a policy does, for train --demonstrations"
+    ),
     "farm": Command("eia_sec.deploy.commands.policies.farm", "draw, save or check farms and files of sensor positions"),
     "export": Command("eia_sec.deploy.commands.policies.export", "export a run's actors as ONNX or plain tensors"),
     "fly": Command("eia_sec.deploy.commands.policies.fly", "fly vehicles with a policy: poses in, set-points out"),

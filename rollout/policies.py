@@ -9,6 +9,7 @@ A policy is called in this loop:
         farms.step(policy.act(farms))
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
@@ -139,6 +140,9 @@ def trained_policy(path: Path, config: FarmConfig) -> Policy:
 POLICIES: Final = (*HEURISTICS, *SHIPPED)
 """The names of all policies; `eia_sec.rollout.heuristics.registry` lists the heuristics."""
 
+PLACE: Final = re.compile(r"(?!trained:)[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+"""module:name of a class; naming it runs its code, as with `--env`."""
+
 REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
 """Policies that a run's report compares with. Heuristics that plan ahead take minutes, so they are left out."""
 
@@ -162,14 +166,20 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
 
 
 def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
-    """Return a policy for a run's environment: a plug-in's heuristic, or else as `policy_of`, random or a file.
+    """Return a policy for a run's environment.
+
+    Args:
+        name: of a plug-in's heuristic, module:name of one, as for `policy_of`, random, or a file.
+        config: the run.
 
     Raises:
-        PluginError: a plug-in's heuristic cannot be made, or has the name of a policy of this package.
+        PluginError: a heuristic cannot be made, or a plug-in's has the name of a policy of this package.
         PolicyError: the policy does not exist or cannot be used.
     """
     plugins.require_heuristics_beside(POLICIES)
     found: BatchPolicy[Any] | None = plugins.heuristic(name)
+    if found is None and PLACE.fullmatch(name) and not is_file(Path(name)):
+        found = plugins.heuristic_at(name)
     if found is not None:
         return found
     if (farm := farm_of(config)) is not None:
@@ -178,7 +188,8 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
         return RandomPolicy()
     if not is_file(Path(name)):
         raise PolicyError(
-            f"outside the farm there is no policy {name!r}: give random, a policy file, or a heuristic of a plug-in."
+            f"outside the farm there is no policy {name!r}: give random, a policy file, a heuristic of a plug-in, or "
+            "module:name of one."
         )
     return ActorPolicy(load_policy(Path(name))[0])
 

@@ -30,9 +30,9 @@ from eia_sec.rollout.policies import POLICIES, SampledPolicy, run_policy
 from eia_sec.rollout.shipped_policies import is_file, preset_of
 
 POLICY_HELP: Final = (
-    f"{', '.join(POLICIES)}, or a policy file; with --run-dir, instead of the run's policy. TASK+RELAYS, a task being "
-    f"{', '.join(TASKS)} and relays {', '.join(RELAYS)}, names the relays too (docs/reference/heuristics.md). A policy "
-    "of a preset flies that preset's farm, trained that of default."
+    f"{', '.join(POLICIES)}, a plug-in's heuristic, module:name of one, or a policy file; with --run-dir, instead of "
+    f"the run's policy. TASK+RELAYS, a task being {', '.join(TASKS)} and relays {', '.join(RELAYS)}, names the relays "
+    "too (docs/reference/heuristics.md). A policy of a preset flies that preset's farm, trained that of default."
 )
 MAX_FARMS: Final = 100_000
 DIGITS: Final = 19
@@ -48,6 +48,8 @@ class EvaluateArguments:
     run_dir: Path | None = None
     """Run directory: its configuration and its newest policy."""
     policy: Annotated[str | None, tyro.conf.arg(help=POLICY_HELP)] = None
+    against: Path | None = None
+    """Run directory whose policy is evaluated as well, on the same episodes; without --run-dir in its environment."""
     farms: str = "1000:1020"
     """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
     episodes: int = 1
@@ -74,10 +76,27 @@ def command(arguments: Sequence[str]) -> int:
     found = evaluations(options)
     if options.json:
         first, *drawn = [evaluation.to_dict() for evaluation in found]
-        sys.stdout.write(json.dumps({**first, **({"sampled": drawn[0]} if drawn else {})}, indent=2) + "\n")
+        against = {"against": drawn.pop()} if options.against is not None else {}
+        sampled = {"sampled": drawn[0]} if drawn else {}
+        sys.stdout.write(json.dumps({**first, **sampled, **against}, indent=2) + "\n")
     else:
-        Console(markup=False).print(comparison_table(found))
+        console = Console(markup=False, highlight=False)
+        console.print(comparison_table(found))
+        if options.against is not None:
+            console.print(difference(found[0], found[-1]), soft_wrap=True)
     return DONE
+
+
+def difference(own: Evaluation, other: Evaluation) -> str:
+    """Return a sentence about the difference of two policies' rewards on the same farms or scenarios."""
+    pairs = zip(own.per_farm, other.per_farm, strict=True)
+    apart = [replace(score, reward=score.reward - reference.reward) for score, reference in pairs]
+    total = replace(own.total, reward=own.total.reward - other.total.reward)
+    low, high = replace(own, per_farm=tuple(apart), total=total).interval
+    return (
+        f"{own.policy} minus {other.policy}: {total.reward:+.2f} per agent and episode (95 % interval {low:+.2f} to "
+        f"{high:+.2f})"
+    )
 
 
 def evaluations(arguments: EvaluateArguments) -> list[Evaluation]:
@@ -102,6 +121,8 @@ def evaluations(arguments: EvaluateArguments) -> list[Evaluation]:
     policies = {shown: run_policy(name, config)}
     if is_file(Path(name)) and (actors := load_policy(Path(name))[0]).draws:
         policies[f"{shown}, sampled"] = SampledPolicy(actors)
+    if arguments.against is not None:
+        policies[f"against {arguments.against.name}"] = run_policy(_policy_in(arguments.against), config)
     with _reach(arguments, config) as reach:
         return [
             evaluate_run(config, policy, farms, arguments.episodes, name=name, reach=reach)
@@ -130,9 +151,14 @@ def policy_name(arguments: EvaluateArguments) -> str:
         return arguments.policy
     if arguments.run_dir is None:
         raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
-    path = arguments.run_dir / POLICY
+    return _policy_in(arguments.run_dir)
+
+
+def _policy_in(run_dir: Path) -> str:
+    """Return the path of a run's policy; raise RunDirError if it has none."""
+    path = run_dir / POLICY
     if not path.is_file():
-        raise RunDirError(f"{arguments.run_dir} has no {POLICY}: the run has not saved a policy yet.")
+        raise RunDirError(f"{run_dir} has no {POLICY}: the run has not saved a policy yet.")
     return str(path)
 
 
@@ -165,11 +191,12 @@ def configuration_of(arguments: EvaluateArguments, farm_only: str | None = None)
         UsageError: something in the arguments does not exist or is impossible.
     """
     config = PRESETS[preset_of(arguments.policy)]
-    if arguments.run_dir is not None:
-        path = arguments.run_dir / CONFIG
+    folder = arguments.run_dir or arguments.against
+    if folder is not None:
+        path = folder / CONFIG
         if not path.is_file():
-            raise RunDirError(f"{arguments.run_dir} is not a run directory: it has no {CONFIG}.")
-        config = RunDirectory(arguments.run_dir).configuration()
+            raise RunDirError(f"{folder} is not a run directory: it has no {CONFIG}.")
+        config = RunDirectory(folder).configuration()
     if arguments.config is not None:
         config = from_toml(arguments.config, config)
     if farm_only is not None:

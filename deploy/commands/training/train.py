@@ -3,9 +3,9 @@
 import shlex
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -19,6 +19,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import farm_of
 from eia_sec.common.process import StopSignal
+from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
@@ -36,6 +37,9 @@ from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
 from eia_sec.rollout.envs.registry import environment_spec, served_spec
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
+
+if TYPE_CHECKING:
+    from eia_sec.deploy.local.cloning import Clones
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -66,6 +70,8 @@ class TrainArguments:
     """Resume from the newest intact checkpoint in the run directory."""
     lockstep: bool = False
     """Alternate strictly with one worker: the weights are bit-equal to training in a single process."""
+    demonstrations: Path | None = None
+    """File of eia-sec record: actors first learn to do what it holds, and value functions what that is worth."""
     endpoint: str | None = None
     """Endpoint of the learner: a loopback address, or with --tls any of this machine. Default: free ports, and
     tcp/127.0.0.1:7447 for environments that others serve."""
@@ -92,31 +98,30 @@ def command(arguments: Sequence[str]) -> int:
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     environment = _environment(options, endpoint)
     team = environment.team
-    start: StartParameters = ()
-    if not options.resume:
-        options.settings.algorithm.require_types([group.name for group in team.groups])
-        start = start_parameters(options.settings, team)
+    clones = _clones(options, team)
+    start = _start(options, team)
     _require_device(options.settings.learner.device)
     _require_plugins(options.settings)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     chosen = options.preset or preset_for(options.settings.env.name)
     directory = RunDirectory(options.run_dir or new_folder(Path("runs"), f"{chosen}-{stamp}"))
+    if clones is not None:
+        options = replace(options, settings=clones.settings(directory.path))
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
     directory.adopt(options.settings, team)
     console = Console(file=patient_output())
-    if not (options.preset or options.resume):
-        console.print(f"preset: {chosen}; another one: --preset NAME", highlight=False, markup=False)
-    if start:
-        console.print(start_sentence(options.settings, team, start), highlight=False, markup=False)
-    if too_short := shortage(options.settings, environment):
-        console.print(too_short, highlight=False, markup=False, soft_wrap=True)
-    console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
+    begun = start_sentence(options.settings, team, start) if start else ""
+    if clones is not None:
+        begun = clones.save(directory.path)
+    preset = "" if options.preset or options.resume else f"preset: {chosen}; another one: --preset NAME"
+    lines = [*filter(None, (preset, begun, shortage(options.settings, environment)))]
+    lines.append(f"run directory: {directory.path}; to watch it from another terminal:")
     for reader in ("monitor", "watch") if farm_of(options.settings) is not None else ("monitor",):
         own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        console.print(
-            f"  eia-sec {reader} {shlex.quote(str(directory.path))}{own}{IN_BROWSER[reader]}", highlight=False
-        )
+        lines.append(f"  eia-sec {reader} {shlex.quote(str(directory.path))}{own}{IN_BROWSER[reader]}")
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     plan = ProcessPlan(
         options.settings,
         workers,
@@ -146,6 +151,23 @@ def command(arguments: Sequence[str]) -> int:
         where = f" --endpoint {endpoint}{own}" if served else ""
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
     return 0
+
+
+def _start(options: TrainArguments, team: TeamSpec) -> StartParameters:
+    """Return what a run's actors begin as, after a check of options that name types; nothing for one that resumes."""
+    if options.resume:
+        return ()
+    options.settings.algorithm.require_types([group.name for group in team.groups])
+    return start_parameters(options.settings, team)
+
+
+def _clones(options: TrainArguments, team: TeamSpec) -> "Clones | None":
+    """Return the actors that demonstrations give, or None without any."""
+    if options.demonstrations is None:
+        return None
+    from eia_sec.deploy.local.cloning import Clones  # noqa: PLC0415  (importing torch takes seconds, and only this needs it)
+
+    return Clones(options.settings, team, options.demonstrations, resume=options.resume)
 
 
 def shortage(config: RunConfig, environment: EnvironmentSpec) -> str:
