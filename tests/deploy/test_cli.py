@@ -207,7 +207,14 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stop:
         dispatch([name, "--help"])
     assert stop.value.code == 0
-    named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen", "replay": "--against"}
+    named = {
+        "farm": "check",
+        "keys": "issue",
+        "audit": "--json",
+        "router": "--listen",
+        "replay": "--against",
+        "record": "--out",
+    }
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 
