@@ -16,7 +16,15 @@ SCRAPE: Final = "10s"
 
 _ALERTS: Final = (
     ("StepsUnexplained", "critical", "1m", "eia_sec_unexplained_steps{$} != 0", "The ledger does not add up."),
-    ("LearnerGone", "critical", "1m", 'eia_sec_process_up{$, role="learner"} == 0', "The learner is gone."),
+    (
+        "LearnerGone",
+        "critical",
+        "1m",
+        'max_over_time(eia_sec_process_up{$, role="learner"}[30m]) == 1 '
+        'unless on (run) (eia_sec_process_up{$, role="learner"} == 1) '
+        'unless on (run) max_over_time(eia_sec_run_state{$, eia_sec_run_state=~"draining|finished"}[30m]) == 1',
+        "The learner is gone, and the run was neither finished nor asked to stop.",
+    ),
     (
         "RunWithoutLearner",
         "critical",
@@ -36,8 +44,8 @@ _ALERTS: Final = (
     (
         "ProcessInTrouble",
         "warning",
-        "2m",
-        "eia_sec_process_trouble{$} == 1",
+        "0m",
+        "sum_over_time(eia_sec_process_trouble{$}[2m]) >= 3",
         "{{ $labels.role }} {{ $labels.name }} on {{ $labels.host }} is gone, silent, far behind or slow.",
     ),
     ("Alarms", "warning", "5m", "eia_sec_alarms{$} > 0", "The monitor shows alarms; `eia-sec monitor` has their text."),

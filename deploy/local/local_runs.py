@@ -7,6 +7,9 @@ user alone. A learner holds a lock on its own. One whose lock is free was left b
 import fcntl
 import json
 import os
+import re
+import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -20,11 +23,13 @@ from eia_sec.common.names import is_name
 from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.local.run_directory import TRAIN_LOCK
 
 MOST_BYTES: Final = 16_384
 """Longest file that is read."""
 MOST_RUNS: Final = 1024
 """Most files that are looked at."""
+LOOK_SECONDS: Final = 0.2
 RUN: Final = "farm"
 """Name of a run where none is given."""
 
@@ -67,7 +72,7 @@ def listed(run: LocalRun) -> Iterator[None]:
     try:
         place = folder()
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        number, name = mkstemp(prefix=f"{run.run}-", dir=place)
+        number, name = mkstemp(prefix=f"{run.run}-", suffix=_mark(), dir=place)
         path, file = Path(name), os.fdopen(number, "w", encoding="utf-8")
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write(json.dumps(asdict(run)))
@@ -84,16 +89,22 @@ def listed(run: LocalRun) -> Iterator[None]:
             file.close()
 
 
+def _mark() -> str:
+    """Return how names of files end that this machine has made: a home directory may be another's, too."""
+    return f"@{re.sub('[^A-Za-z0-9.-]', '-', socket.gethostname())[:128]}"
+
+
 def local_runs() -> list[LocalRun]:
     """Return the runs whose learners live, by name; files that killed learners have left are removed."""
     found = []
     with suppress(OSError, RuntimeError):
-        for path in sorted(folder().glob("*.json"))[:MOST_RUNS]:
+        for path in sorted(folder().glob(f"*{_mark()}.json"))[:MOST_RUNS]:
             with suppress(OSError, ValueError, TypeError):
                 run = _read(path)
                 if run is not None:
                     found.append(run)
-    return sorted(found, key=lambda run: (run.run, run.endpoint))
+    # A learner and its successor at a router are one run.
+    return sorted({(run.run, run.endpoint): run for run in found}.values(), key=lambda run: (run.run, run.endpoint))
 
 
 def _read(path: Path) -> LocalRun | None:
@@ -114,31 +125,57 @@ def _read(path: Path) -> LocalRun | None:
     return None
 
 
-def chosen(run_dir: Path | None, run: str | None, connect: str | None) -> LocalRun:
+def chosen(
+    run_dir: Path | None, run: str | None, connect: str | None, patience: float, waiting: Callable[[], bool]
+) -> LocalRun:
     """Return which run a command reads.
 
     Args:
         run_dir: a directory of a run of this machine, or None.
         run: a run's name, or None.
         connect: an endpoint, or None.
+        patience: how long to wait for the learner of a directory in which a run has begun, s.
+        waiting: called meanwhile; False gives up.
 
     Raises:
         UsageError: the directory is that of no run here, or several runs fit.
     """
-    runs = local_runs()
     if run_dir is not None:
         if run is not None or connect is not None:
             raise UsageError("give a run directory, or --run and --connect, not both.")
-        at = [one for one in runs if one.run_dir and os.path.realpath(run_dir) == os.path.realpath(one.run_dir)]
-        if not at:
-            raise UsageError(f"no run is training in {printable(str(run_dir))}{_here(runs)}.")
-        return at[0]
+        return _in_directory(run_dir, patience, waiting)
+    runs = local_runs()
     fitting = [one for one in runs if run in (None, one.run) and connect in (None, one.endpoint)]
     if len(fitting) > 1:
-        raise UsageError(f"several runs are training; name one of them{_here(fitting)}.")
+        raise UsageError(f"several runs are training; name one of them{_here(fitting)}")
     if fitting:
         return fitting[0]
     return LocalRun(run or RUN, connect or DEFAULT, "", "", tls=False)
+
+
+def _in_directory(run_dir: Path, patience: float, waiting: Callable[[], bool]) -> LocalRun:
+    """Return the run of a directory, once its learner lives; raise UsageError if none comes."""
+    until = time.monotonic() + patience
+    while True:
+        runs = local_runs()
+        for one in runs:
+            if one.run_dir and os.path.realpath(run_dir) == os.path.realpath(one.run_dir):
+                return one
+        if not (_supervised(run_dir) and waiting() and time.monotonic() < until):
+            raise UsageError(f"no run is training in {printable(str(run_dir))}{_here(runs)}")
+        time.sleep(LOOK_SECONDS)
+
+
+def _supervised(run_dir: Path) -> bool:
+    """Return whether `eia-sec train` is at work in a directory: it is there before its learner is."""
+    try:
+        with os.fdopen(os.open(run_dir / TRAIN_LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)) as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def reached(run: LocalRun, tls: Path | None, patience: float, waiting: Callable[[], bool]) -> Bus:
@@ -153,14 +190,17 @@ def reached(run: LocalRun, tls: Path | None, patience: float, waiting: Callable[
     Raises:
         EndpointError: nobody answers there; the sentence also names what does train on this machine.
     """
+    endpoint = Endpoint.parse(run.endpoint, tls)
     try:
-        return Bus.connect(Endpoint.parse(run.endpoint, tls), "control", patience, waiting)
+        return Bus.connect(endpoint, "control", patience, waiting)
     except EndpointError as error:
-        raise EndpointError(f"{str(error).rstrip('.')}{_here(local_runs())}.") from None
+        if type(error) is not EndpointError:
+            raise
+        raise EndpointError(f"{str(error).rstrip('.')}{_here(local_runs())}") from None
 
 
 def _here(runs: list[LocalRun]) -> str:
     if not runs:
-        return "; none is training on this machine"
+        return "; none is training on this machine."
     lines = [f"\n  {run.options}" + (f"   # {printable(run.run_dir)}" if run.run_dir else "") for run in runs]
     return "; on this machine there are:" + "".join(lines)

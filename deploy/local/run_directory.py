@@ -16,6 +16,7 @@ from eia_sec.deploy.local.file_ends import last_lines
 
 CONFIG = "config.toml"
 TEAM = "team.json"
+TRAIN_LOCK = "train.lock"
 """The layout of the team that the run trains."""
 MOST_TEAM_BYTES = 2**24
 METRICS = "metrics.jsonl"

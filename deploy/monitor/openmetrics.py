@@ -4,21 +4,29 @@ All counts are gauges: a learner that resumes goes back to those of its checkpoi
 read as one that began again at 0.
 """
 
+import socket
 import threading
 from collections.abc import Iterable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
 from prometheus_client.core import GaugeMetricFamily, Metric, StateSetMetricFamily
+from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
 from eia_sec.common.errors import EndpointError
 from eia_sec.deploy.monitor.snapshot import ProcessRow, Snapshot
+from eia_sec.deploy.monitor.web.address import LOOPBACK, bracketed
 
 STATES: Final = ("starting", "training", "draining", "finished", "without learner")
 """States of a run that a scrape distinguishes; any other is "starting"."""
 PREFIX: Final = "eia_sec_"
+MOST_REQUESTS: Final = 16
+REQUEST_SECONDS: Final = 5.0
+"""Time that a client has to ask, and to take its answer."""
 
 
 class RunCollector(Collector):
@@ -32,12 +40,14 @@ class RunCollector(Collector):
         self._newest = snapshot
 
     def collect(self) -> Iterable[Metric]:
-        """Return all families; what is not known yet has no sample."""
+        """Return all families; of the run and what it learns there are none while no report of a learner is known."""
         snapshot = self._newest
-        yield from _of_run(snapshot)
-        yield from _of_ledger(snapshot)
-        yield from _of_learning(snapshot)
+        yield from _of_monitor(snapshot)
         yield from _of_processes(snapshot)
+        if any(row.role == "learner" and row.pid for row in snapshot.processes):
+            yield from _of_run(snapshot)
+            yield from _of_ledger(snapshot)
+            yield from _of_learning(snapshot)
 
 
 class OpenMetricsServer:
@@ -47,6 +57,7 @@ class OpenMetricsServer:
         collector: what is served.
         host: address to serve on.
         port: port to serve on; 0 for any free one.
+        strangers: whether requests with other Host names than this machine's loopback are answered.
 
     Attributes:
         port: the port.
@@ -55,16 +66,22 @@ class OpenMetricsServer:
         EndpointError: the address cannot be used.
     """
 
-    def __init__(self, collector: RunCollector, host: str, port: int) -> None:
+    def __init__(self, collector: RunCollector, host: str, port: int, *, strangers: bool = False) -> None:
         registry = CollectorRegistry(auto_describe=False)
         registry.register(collector)
+        address = host.strip("[]")
+        names = None if strangers else (*LOOPBACK, bracketed(address))
         try:
-            self._server, self._thread = start_http_server(port, host, registry)
+            self._server = _Server(
+                socket.AF_INET6 if ":" in address else socket.AF_INET, (address, port), _handler(registry, names)
+            )
         except OSError as error:
             raise EndpointError(f"cannot serve on {host}, port {port}: {error.strerror}.") from None
         self.port = int(self._server.server_port)
+        self._thread = threading.Thread(target=self._server.serve_forever, name="openmetrics", daemon=True)
 
     def __enter__(self) -> Self:
+        self._thread.start()
         return self
 
     def __exit__(
@@ -72,8 +89,59 @@ class OpenMetricsServer:
     ) -> None:
         self._server.shutdown()
         self._server.server_close()
-        if self._thread is not threading.current_thread():
-            self._thread.join()
+        self._thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    """Answers so many requests at a time; further ones are closed at once, and who hangs up is no news."""
+
+    def __init__(
+        self, family: socket.AddressFamily, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]
+    ) -> None:
+        self.address_family = family
+        self._seats = threading.BoundedSemaphore(MOST_REQUESTS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if self._seats.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._seats.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        return
+
+
+def _handler(registry: CollectorRegistry, names: tuple[str, ...] | None) -> type[BaseHTTPRequestHandler]:
+    """Return what answers GET /metrics, to requests for these names; to any where there are none."""
+
+    class Handler(BaseHTTPRequestHandler):
+        timeout = REQUEST_SECONDS
+
+        def do_GET(self) -> None:
+            if names is not None and (self.headers.get("Host") or "").rpartition(":")[0] not in names:
+                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+            elif self.path.partition("?")[0] != "/metrics":
+                self.send_error(HTTPStatus.NOT_FOUND)
+            else:
+                encode, content = choose_encoder(self.headers.get("Accept") or "")
+                body = encode(registry)
+                self.send_response(HTTPStatus.OK)
+                self.send_header("Content-Type", content)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            return
+
+    return Handler
 
 
 def _gauge(name: str, meaning: str, unit: str, labels: tuple[str, ...]) -> GaugeMetricFamily:
@@ -88,11 +156,15 @@ def _single(snapshot: Snapshot, name: str, unit: str, meaning: str, value: float
     return family
 
 
-def _of_run(snapshot: Snapshot) -> Iterator[Metric]:
+def _of_monitor(snapshot: Snapshot) -> Iterator[Metric]:
     states = StateSetMetricFamily(PREFIX + "run_state", "What the run does.", labels=["run"])
     state = snapshot.state if snapshot.state in STATES else STATES[0]
     states.add_metric([snapshot.run], {name: name == state for name in STATES})
     yield states
+    yield _single(snapshot, "alarms", "", "Alarms that a monitor shows now.", len(snapshot.alarms))
+
+
+def _of_run(snapshot: Snapshot) -> Iterator[Metric]:
     for name, unit, meaning, value in (
         ("run_elapsed_seconds", "seconds", "Time since the run's start.", snapshot.elapsed),
         ("run_remaining_seconds", "seconds", "Estimated time to the run's end.", snapshot.left),
@@ -101,7 +173,6 @@ def _of_run(snapshot: Snapshot) -> Iterator[Metric]:
         ("updates", "", "Updates of the networks.", snapshot.updates),
         ("environment_outages", "", "Times that environments went away.", snapshot.outages),
         ("step_timeouts", "", "Workers ended for env.step_timeout.", snapshot.step_timeouts),
-        ("alarms", "", "Alarms that a monitor shows now.", len(snapshot.alarms)),
     ):
         yield _single(snapshot, name, unit, meaning, value)
 

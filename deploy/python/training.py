@@ -21,7 +21,7 @@ from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.in_process import WORKER, train_with
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import POLICY, TRAIN_LOCK, RunDirectory
 from eia_sec.deploy.local.training_processes import ProcessPlan, TrainingProcesses
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.python.run import Run, without_timeout
@@ -236,6 +236,6 @@ def _directory(config: RunConfig, folder: Path) -> RunDirectory:
 
 def _hold(directory: RunDirectory, config: RunConfig, spec: EnvironmentSpec, held: ExitStack) -> None:
     """Lock a run directory until the stack is closed, and write down what the run is."""
-    directory.lock("train.lock")
+    directory.lock(TRAIN_LOCK)
     held.callback(directory.unlock)
     directory.adopt(config, spec.team)

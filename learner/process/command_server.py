@@ -6,7 +6,7 @@ from dataclasses import replace
 from eia_sec.common.clock import microseconds, monotonic
 from eia_sec.common.config.environment import unusable_arguments
 from eia_sec.common.errors import ProtocolError
-from eia_sec.common.incarnation import LATEST
+from eia_sec.common.incarnation import LATEST, STRIDE
 from eia_sec.common.log import log
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
@@ -14,6 +14,8 @@ from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.process.lease import Lease
 
 SHOWN_NAME = 64
+MOST_NAMES = 4096
+"""Most names of processes for which the number that was given out last is remembered."""
 """Most characters of another process's name in a log line or an answer."""
 
 
@@ -36,6 +38,7 @@ class CommandServer:
         self, server: Server, configuration: ConfigurationMessage, newest_incarnation: Callable[[str], int]
     ) -> None:
         self._server, self._configuration, self._newest_incarnation = server, configuration, newest_incarnation
+        self._given: dict[str, int] = {}
         self.lease, self.draining, self.arguments, self.malformed = Lease(), False, "", 0
         self._verbs: dict[str, Callable[[Incoming, CommandMessage], None]] = {
             "configuration": self._send_configuration,
@@ -61,8 +64,12 @@ class CommandServer:
                 incoming.refuse(f"the learner has no command {verb!r}.")
 
     def _send_configuration(self, incoming: Incoming, command: CommandMessage) -> None:
-        # An earlier start that has not delivered yet is not known; unless its clock was ahead, it is older than now.
-        newest = max(self._newest_incarnation(command.sender), min(microseconds(), LATEST))
+        # An earlier start that has not delivered yet is not known, but the number that it went beyond.
+        given = self._given.pop(command.sender, 0)
+        newest = max(self._newest_incarnation(command.sender), min(microseconds(), LATEST), given and given + STRIDE)
+        self._given[command.sender] = newest
+        if len(self._given) > MOST_NAMES:
+            del self._given[next(iter(self._given))]
         incoming.reply(replace(self._configuration, newest_incarnation=newest).encode())
 
     def _set_arguments(self, incoming: Incoming, command: CommandMessage) -> None:

@@ -178,10 +178,16 @@ class Simulation:
         write = learner._checkpoint
 
         def last(*, wait: bool = False) -> None:
-            if wait and self.last_steps is not None:
-                process.fuse, self.last_steps = self.last_steps, None
+            if not wait or self.last_steps is None:
+                write(wait=wait)
+                return
+            process.fuse, self.last_steps = self.last_steps, None
+            try:
+                write(wait=True)
+                process.fuse = None
+            except BaseException:
                 self.faults.append("kill the learner at its end")
-            write(wait=wait)
+                raise
 
         learner._checkpoint = last  # type: ignore[method-assign]  # of this learner alone
 

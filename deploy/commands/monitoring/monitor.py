@@ -66,7 +66,7 @@ def command(arguments: Sequence[str]) -> int:
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     stop = StopSignal()
     stop.install()
-    run = chosen(options.run_dir, options.run, options.connect)
+    run = chosen(options.run_dir, options.run, options.connect, options.patience, lambda: not stop)
     with reached(run, options.tls, options.patience, lambda: not stop) as bus, _served(options, run.run) as served:
         _show(options, run.run, stop, bus, served)
     return 0
@@ -89,7 +89,7 @@ def _served(options: MonitorArguments, run: str) -> Iterator[Callable[[Snapshot]
     except ImportError:
         raise UsageError("--openmetrics needs prometheus-client: pip install 'eia-sec[openmetrics]'.") from None
     collector = RunCollector(run)
-    with OpenMetricsServer(collector, options.host, options.openmetrics) as server:
+    with OpenMetricsServer(collector, options.host, options.openmetrics, strangers=options.insecure) as server:
         sys.stderr.write(f"OpenMetrics at http://{bracketed(options.host)}:{server.port}/metrics\n")
         yield collector.show
 

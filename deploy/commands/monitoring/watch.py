@@ -65,7 +65,7 @@ def command(arguments: Sequence[str]) -> int:
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # browsers that disconnect are not worth a log line
     stop = StopSignal()
     stop.install()
-    run, hub = chosen(options.run_dir, options.run, options.connect), Hub()
+    run, hub = chosen(options.run_dir, options.run, options.connect, options.patience, lambda: not stop), Hub()
     if run.environment and run.environment != FARM:
         raise UsageError(
             f"the page draws farms, and {run.environment} is none; watch it with: eia-sec monitor {run.options}"

@@ -26,7 +26,7 @@ from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.environment_trial import tried
 from eia_sec.deploy.local.learners import require_learners
-from eia_sec.deploy.local.run_directory import RunDirectory, new_folder
+from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
 from eia_sec.deploy.local.training_processes import COORDINATOR, LEARNER, ProcessPlan, TrainingProcesses
@@ -108,7 +108,7 @@ def command(arguments: Sequence[str]) -> int:
     if clones is not None:
         options = replace(options, settings=clones.settings(directory.path))
     directory.prepare(options.settings, resume=options.resume)
-    directory.lock("train.lock")
+    directory.lock(TRAIN_LOCK)
     directory.adopt(options.settings, team)
     console = Console(file=patient_output())
     begun = start_sentence(options.settings, team, start) if start else ""

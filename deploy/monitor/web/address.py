@@ -1,7 +1,12 @@
 """Addresses on which a page or figures are served over HTTP."""
 
+from typing import Final
+
 from eia_sec.common.errors import EndpointError
 from eia_sec.common.transport.endpoint import Endpoint
+
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+"""Names by which requests ask for this machine."""
 
 
 def bracketed(host: str) -> str:

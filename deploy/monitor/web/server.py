@@ -17,7 +17,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from eia_sec.common.errors import EndpointError
-from eia_sec.deploy.monitor.web.address import bracketed
+from eia_sec.deploy.monitor.web.address import LOOPBACK, bracketed
 from eia_sec.deploy.monitor.web.hub import Hub
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -34,7 +34,6 @@ STREAM: Final = "/stream"
 MAX_BROWSERS: Final = 16
 MAX_CONNECTIONS: Final = 64
 """Most connections at a time, those included whose request has not come; more are closed at once."""
-LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 HTTP: Final = 80
 """The port that browsers leave out of Host and Origin."""
 SECONDS: Final = 3.0

@@ -33,13 +33,16 @@ SERIES = {
     'eia_sec_accepted_steps{run="field_1"}': "0+100x30 3000x90",
     'eia_sec_lost_steps{run="field_1"}': "0x120",
     'eia_sec_run_state{run="field_1", eia_sec_run_state="training"}': "1x120",
-    'eia_sec_process_up{run="field_1", role="learner", name="learner", host="here"}': "1x60 0x60",
+    'eia_sec_process_up{run="field_1", role="learner", name="learner", host="here"}': "1x60 0x2 stale",
+    'eia_sec_process_trouble{run="field_1", role="rollout", name="0", host="here"}': "0x72 1x3 stale",
     'up{job="eia-sec-field_1"}': "1x120",
 }
-"""A sample every ten seconds: the ledger stops to add up after five minutes, the learner goes after ten."""
+"""A sample every ten seconds: the ledger stops to add up after five minutes, the learner goes after ten, a worker
+after twelve. What is gone for half a minute is no longer served."""
 FIRING = {
     "4m": (),
     "8m": ("StepsUnexplained",),
+    "13m": ("LearnerGone", "ProcessInTrouble", "StepsUnexplained"),
     "19m": ("LearnerGone", "NoProgress", "StepsUnexplained"),
 }
 

@@ -1,8 +1,10 @@
 """How monitors find the runs of this machine."""
 
 import json
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from eia_sec.common.errors import EndpointError, UsageError
 from eia_sec.common.transport.endpoint import DEFAULT, free_endpoint
 from eia_sec.deploy.commands.monitoring import watch
 from eia_sec.deploy.local.local_runs import LocalRun, chosen, folder, listed, local_runs, reached
+from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory
 
 HOLD = """
 import sys, time
@@ -29,6 +32,10 @@ def own_state(tmp_path, monkeypatch):
 
 def a_run(name="farm", port=4000, run_dir="", environment="farm"):
     return LocalRun(name, f"tcp/127.0.0.1:{port}", run_dir, environment, tls=False)
+
+
+def choose(run_dir, run, connect, patience=0.0):
+    return chosen(run_dir, run, connect, patience, lambda: True)
 
 
 def test_a_run_is_found_while_it_lasts():
@@ -78,39 +85,39 @@ def test_a_run_is_chosen_by_what_is_said_of_it(tmp_path):
     """Directory, name or endpoint name one; nothing at all names the only one."""
     first, second = a_run("a", 4000, str(tmp_path / "a")), a_run("b", 4002, str(tmp_path / "b"))
     with listed(first):
-        assert chosen(None, None, None) == first
+        assert choose(None, None, None) == first
         with listed(second):
-            assert chosen(tmp_path / "x" / ".." / "b", None, None) == second
-            assert chosen(None, "a", None) == first
-            assert chosen(None, None, second.endpoint) == second
+            assert choose(tmp_path / "x" / ".." / "b", None, None) == second
+            assert choose(None, "a", None) == first
+            assert choose(None, None, second.endpoint) == second
             with pytest.raises(UsageError) as several:
-                chosen(None, None, None)
+                choose(None, None, None)
     assert str(several.value) == (
         "several runs are training; name one of them; on this machine there are:\n"
         f"  --run a --connect tcp/127.0.0.1:4000   # {tmp_path}/a\n"
-        f"  --run b --connect tcp/127.0.0.1:4002   # {tmp_path}/b."
+        f"  --run b --connect tcp/127.0.0.1:4002   # {tmp_path}/b"
     )
 
 
 def test_what_is_not_listed_is_taken_as_it_is_said():
     """A run of another machine, or in a container, has a name and an endpoint."""
     with listed(a_run("a")):
-        assert chosen(None, "other", "tcp/far:7447") == LocalRun("other", "tcp/far:7447", "", "", tls=False)
-        assert chosen(None, None, "tcp/far:7447").run == "farm"
-    assert chosen(None, None, None) == LocalRun("farm", DEFAULT, "", "", tls=False)
+        assert choose(None, "other", "tcp/far:7447") == LocalRun("other", "tcp/far:7447", "", "", tls=False)
+        assert choose(None, None, "tcp/far:7447").run == "farm"
+    assert choose(None, None, None) == LocalRun("farm", DEFAULT, "", "", tls=False)
 
 
 def test_mistakes_name_what_is_there(tmp_path):
     """A directory where nothing trains, both ways at once, and an endpoint where nobody listens."""
     with pytest.raises(UsageError, match=r"no run is training in .*/x; none is training on this machine\.$"):
-        chosen(tmp_path / "x", None, None)
+        choose(tmp_path / "x", None, None)
     with pytest.raises(UsageError, match="give a run directory, or --run and --connect, not both"):
-        chosen(tmp_path, "a", None)
+        choose(tmp_path, "a", None)
     silent = str(free_endpoint())
     with listed(a_run("a")), pytest.raises(EndpointError) as nobody:
         reached(LocalRun("b", silent, "", "", tls=False), None, 0.0, lambda: True)
     assert str(nobody.value) == (
-        f"nobody answers at {silent}; on this machine there are:\n  --run a --connect tcp/127.0.0.1:4000."
+        f"nobody answers at {silent}; on this machine there are:\n  --run a --connect tcp/127.0.0.1:4000"
     )
 
 
@@ -134,3 +141,38 @@ def test_the_page_draws_farms_alone():
     """Of another environment the terminal's view is named, before anything is served."""
     with listed(a_run("a", environment="mytask.env:Cover")), pytest.raises(UsageError, match="eia-sec monitor --run a"):
         watch.command([])
+
+
+def test_a_run_that_has_begun_is_waited_for(tmp_path):
+    """The supervisor holds its lock before the learner is there, whose name its banner has given."""
+    directory = RunDirectory(tmp_path)
+    directory.lock(TRAIN_LOCK)
+    looks = []
+    with ExitStack() as begun:
+
+        def waiting():
+            looks.append(len(looks))
+            if len(looks) == 2:
+                begun.enter_context(listed(a_run("a", run_dir=str(tmp_path))))
+            return True
+
+        assert chosen(tmp_path, None, None, 60.0, waiting) == a_run("a", run_dir=str(tmp_path))
+    assert len(looks) == 2
+    directory.unlock()
+    with pytest.raises(UsageError, match="no run is training in"):
+        chosen(tmp_path, None, None, 60.0, waiting)
+
+
+def test_files_of_other_machines_are_left_alone(monkeypatch):
+    """A home directory may be on the network: a lock of another machine is not seen here."""
+    with listed(a_run()):
+        kept = list(folder().iterdir())
+        monkeypatch.setattr(socket, "gethostname", lambda: "elsewhere")
+        assert local_runs() == []
+        assert list(folder().iterdir()) == kept
+
+
+def test_a_learner_and_its_successor_are_one_run():
+    """At a router both live for a while."""
+    with listed(a_run()), listed(a_run()):
+        assert choose(None, None, None) == a_run()

@@ -44,6 +44,8 @@ def group():
         pytest.skip(f"no control group can be made here: {error}")
     try:
         (path / ("memory.limit_in_bytes" if first.is_dir() else "memory.max")).write_text(str(LIMIT))
+        if (swap := path / "memory.swap.max").exists():
+            swap.write_text("0")
         yield path
     except OSError as error:
         pytest.skip(f"its memory cannot be limited here: {error}")

@@ -1,7 +1,9 @@
 """Figures as OpenMetrics: what a scrape reads is what the live view shows."""
 
 import dataclasses
+import socket
 import sys
+import urllib.error
 import urllib.request
 
 import pytest
@@ -11,9 +13,10 @@ from prometheus_client.registry import CollectorRegistry
 
 from eia_sec.common.errors import EndpointError, UsageError
 from eia_sec.deploy.commands.monitoring import monitor
-from eia_sec.deploy.monitor.openmetrics import STATES, OpenMetricsServer, RunCollector
+from eia_sec.deploy.monitor.openmetrics import MOST_REQUESTS, STATES, OpenMetricsServer, RunCollector
 from eia_sec.deploy.monitor.snapshot import Snapshot
 from tests.deploy.monitor.test_live_view import SNAPSHOT, worker
+from tests.system.fleet import until
 
 
 def scraped(text: str) -> dict[tuple[str, ...], float]:
@@ -85,13 +88,14 @@ def test_no_field_of_a_snapshot_is_forgotten():
 
 
 def test_what_is_not_known_has_no_sample():
-    """Before the learner's first report there are states and zeros; a process that left is none."""
-    found = scraped(text_of(Snapshot("farm-7", processes=(worker(0, left=True),))))
+    """Before the learner's first report nothing is counted, so that no count seems to rise with it."""
+    found = scraped(text_of(Snapshot("farm-7", processes=(worker(0), worker(1, left=True)))))
     assert found["eia_sec_run_state", "starting"] == 1.0
-    assert found["eia_sec_accepted_steps",] == 0.0
-    assert not {"eia_sec_run_remaining_seconds", "eia_sec_lag_versions", "eia_sec_process_up"} & {
-        name for name, *_ in found
+    assert {name for name, *_ in found if not name.startswith("eia_sec_process")} == {
+        "eia_sec_run_state",
+        "eia_sec_alarms",
     }
+    assert {labels[1] for name, *labels in found if name == "eia_sec_process_up"} == {"worker-0"}
 
 
 def test_odd_names_stay_labels():
@@ -108,7 +112,7 @@ def test_the_newest_snapshot_is_served_and_the_port_is_free_afterwards():
         asked = urllib.request.Request(address, headers={"Accept": "application/openmetrics-text; version=1.0.0"})
         for snapshot in (SNAPSHOT, dataclasses.replace(SNAPSHOT, episodes=900)):
             collector.show(snapshot)
-            with urllib.request.urlopen(asked) as answer:
+            with urllib.request.urlopen(asked, timeout=30) as answer:
                 assert answer.headers["Content-Type"].startswith("application/openmetrics-text")
                 assert scraped(answer.read().decode())["eia_sec_episodes",] == snapshot.episodes
         with pytest.raises(EndpointError, match=f"cannot serve on 127.0.0.1, port {server.port}: "):
@@ -116,6 +120,34 @@ def test_the_newest_snapshot_is_served_and_the_port_is_free_afterwards():
         taken = server.port
     with OpenMetricsServer(collector, "127.0.0.1", taken) as again:
         assert again.port == taken
+
+
+def test_other_names_other_paths_and_too_many_are_refused():
+    """A page of another site, a wrong path, connections that ask for nothing; the next scrape is answered."""
+    with OpenMetricsServer(RunCollector("farm-7"), "127.0.0.1", 0) as server:
+        address = f"http://127.0.0.1:{server.port}/metrics"
+        for asked, code in (
+            (urllib.request.Request(address, headers={"Host": "evil.example:80"}), 421),
+            (urllib.request.Request(address.removesuffix("metrics")), 404),
+        ):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                urllib.request.urlopen(asked, timeout=30)
+            assert refused.value.code == code
+        idle = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(MOST_REQUESTS)]
+        closed = socket.create_connection(("127.0.0.1", server.port))
+        closed.settimeout(30.0)
+        assert closed.recv(1) == b""
+        for connection in (*idle, closed):
+            connection.close()
+        until(lambda: _answers(address), "a seat")
+
+
+def _answers(address):
+    try:
+        with urllib.request.urlopen(address, timeout=30) as answer:
+            return answer.status == 200
+    except OSError:
+        return False
 
 
 def test_mistakes_are_one_sentence(monkeypatch):

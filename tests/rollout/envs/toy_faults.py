@@ -1,5 +1,6 @@
 """Environments that each do one thing that they should not; every one of them begins as a sound `Relay`."""
 
+import atexit
 import ctypes
 import os
 import signal
@@ -242,3 +243,12 @@ class Exiting(Leaving):
         self.remaining -= 1
         if self.remaining < 0:
             ctypes.CDLL(None)._exit(self.code)
+
+
+class Lingering(Relay):
+    """Leaves a thread that never ends, and a library that ends the process with a code of its own at its exit."""
+
+    def __init__(self, **arguments):
+        super().__init__(**arguments)
+        threading.Thread(target=time.sleep, args=[600.0]).start()
+        atexit.register(lambda: ctypes.CDLL(None)._exit(7))
