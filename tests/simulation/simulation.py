@@ -545,7 +545,7 @@ def simulated(simulation: Simulation) -> Iterator[None]:
     world, disk = simulation.world, simulation.disk
     SimulatedPath.disk = disk
 
-    def trainer(config: RunConfig, team: TeamSpec) -> ToyTrainer:
+    def trainer(config: RunConfig, team: TeamSpec, group: None = None) -> ToyTrainer:
         return ToyTrainer(config, team, world, simulation.judge.absorbed)
 
     def said(text: str) -> None:
