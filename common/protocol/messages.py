@@ -353,6 +353,7 @@ class SetpointMessage(Message):
         validity: seconds for which the vehicle may follow it; then it hovers by itself.
         stamp: stamp of the vehicle's newest pose; 0 if there is none.
         latency: seconds from receiving that pose to sending this message; 0 if there is none.
+        vehicle_start: incarnation of the vehicle that told that pose; 0 if there is none.
     """
 
     KIND = 14
@@ -369,6 +370,7 @@ class SetpointMessage(Message):
     validity: float
     stamp: int
     latency: float
+    vehicle_start: int
 
 
 @dataclass(frozen=True)

@@ -207,9 +207,10 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric(
             "causes/*",
             "set-points",
-            "those by cause: missing, late, field, jump, sensors, lost, policy, end",
+            "those by cause: missing, late, doubled, field, jump, height, sensors, lost, policy, end",
         ),
         Metric("refused", "poses", "poses not used: malformed, for another agent, not newer, or of another time"),
+        Metric("misreported", "visits", "reports of plots or sensors that do not exist, or from the future"),
         Metric("missed", "poses", "poses that never arrived, by the gaps in their numbers"),
         Metric("jumps", "poses", "poses farther from the one before than a vehicle flies"),
         Metric("standing_by", "", "vehicles that obey another flight node"),

@@ -49,12 +49,6 @@ class FarmMap:
         world = self.farm.config.world
         return (0, world.plots_x * world.plots_y, world.sensors)[self._kinds[row]]
 
-    def height(self, row: int) -> float:
-        """Return the height at which an agent flies, m."""
-        world = self.farm.config.world
-        heights = world.height_communication, world.height_monitoring, world.height_collection
-        return heights[self._kinds[row]]
-
     def commanded(self, row: int, velocity: tuple[float, float]) -> None:
         """Note the velocity that an agent was commanded last, m/s."""
         self._commands[row] = velocity
@@ -64,12 +58,12 @@ class FarmMap:
 
         Args:
             vehicles: the team.
-            now: seconds since 1970.
-            since: when the node began to listen.
+            now: the pilot's monotonic clock, s.
+            since: when the node began to listen, by the same.
         """
         if self.farm.config.loses_uavs:
             for vehicle in vehicles:
-                heard = vehicle.arrived or since
+                heard = vehicle.began if vehicle.newest is not None else since
                 told = vehicle.newest is not None and vehicle.newest.lost
                 vehicle.lost |= told or now - heard > LOST_SECONDS
 
@@ -132,8 +126,12 @@ def team_vehicles(config: FarmConfig, names: dict[str, str], flown: Sequence[str
     """
     world = config.world
     items = np.repeat((0, world.plots_x * world.plots_y, world.sensors), world.counts).tolist()
+    heights = world.height_communication, world.height_monitoring, world.height_collection
+    height = np.repeat(heights, world.counts).tolist()
     agents = farm_team(config).agent_names
-    vehicles = [Vehicle(names.get(agent, agent), agent, row, items[row]) for row, agent in enumerate(agents)]
+    vehicles = [
+        Vehicle(names.get(agent, agent), agent, row, items[row], height[row]) for row, agent in enumerate(agents)
+    ]
     for vehicle in vehicles:
         vehicle.flown = not flown or vehicle.name in flown
     return vehicles

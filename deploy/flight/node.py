@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from eia_sec.common.errors import UsageError
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal
 from eia_sec.common.protocol import keys
@@ -44,6 +45,16 @@ class NodeOptions:
     rate: float = 10.0
     seconds: float | None = None
     listens: Endpoint | None = None
+
+
+def require_absent(bus: Bus, run: str, name: str) -> None:
+    """Refuse to fly beside a living node of the same name, which would begin its farm anew.
+
+    Raises:
+        UsageError: there is one.
+    """
+    if bus.living(keys.LIVE.key(run, role="flight", name=name)):
+        raise UsageError(f"a flight node {name} of run {run} is flying; stop it, or stand by with --name spare.")
 
 
 class FlightNode:

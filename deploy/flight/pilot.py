@@ -25,6 +25,7 @@ from eia_sec.deploy.flight.border import inside_border
 from eia_sec.deploy.flight.deciders import Decider
 from eia_sec.deploy.flight.farm_map import FarmMap
 from eia_sec.deploy.flight.poses import Field, Vehicle
+from eia_sec.deploy.flight.vehicle import OLDEST_POSE
 
 KEPT: Final = 1000
 """Newest set-points after a new pose that the reported latency covers."""
@@ -36,7 +37,7 @@ REASON: Final = 160
 """Most characters of a reason."""
 YAW: Final = 0.0
 """A vehicle's nose points along the field's x axis, so that its images' sides are along the plots'."""
-CAUSES: Final = ("missing", "late", "field", "jump", "sensors", "lost", "policy", "end")
+CAUSES: Final = ("missing", "late", "doubled", "field", "jump", "height", "sensors", "lost", "policy", "end")
 """Why vehicles hover."""
 
 
@@ -90,7 +91,7 @@ class Pilot:
         world = field.config.world
         self._speed = np.array([world.speed_x_max, world.speed_y_max])
         self._shares: Float32 = np.full((len(vehicles), 2), np.nan, np.float32)
-        self._decision, self._begun, self._listening = 0, 0.0, 0.0
+        self._decision, self._begun, self._listening = 0, 0.0, -1.0
         self._latency: deque[float] = deque(maxlen=KEPT)
         self._age: deque[float] = deque(maxlen=KEPT)
         self.period = self.decisions = self.limited = self.hovers = 0
@@ -118,10 +119,11 @@ class Pilot:
             now: seconds since 1970.
         """
         self.period += 1
-        self._listening = self._listening or now
-        self.map.lose(self._team, now, self._listening)
+        clock = self._clock()
+        self._listening = clock if self._listening < 0.0 else self._listening
+        self.map.lose(self._team, clock, self._listening)
         for vehicle in self._team:
-            vehicle.judge(now, self._field)
+            vehicle.judge(now, clock, self._field)
         self._advance(now)
         return {vehicle.name: self._setpoint(vehicle, now) for vehicle in self._team if vehicle.flown}
 
@@ -145,6 +147,7 @@ class Pilot:
             "hovers": self.hovers,
             "causes": {cause: sum(vehicle.causes[cause] for vehicle in flown) for cause in CAUSES},
             "refused": sum(vehicle.refused for vehicle in self._team),
+            "misreported": sum(vehicle.misreported for vehicle in self._team),
             "missed": sum(vehicle.missed for vehicle in self._team),
             "jumps": sum(vehicle.jumps for vehicle in self._team),
             "standing_by": sum(bool(self._leader(vehicle)) for vehicle in flown),
@@ -199,7 +202,7 @@ class Pilot:
             return self._hover(vehicle)
         share = self._shares[vehicle.row]
         wanted: NDArray[np.float64] = share.astype(np.float64) * self._speed
-        velocity = inside_border(self._field.config, vehicle.row, wanted, place)
+        velocity = inside_border(self._field.config, vehicle.row, wanted, place, OLDEST_POSE + self._options.validity)
         self.map.commanded(vehicle.row, velocity)
         self.decisions += 1
         self.limited += velocity != tuple(wanted.tolist())
@@ -212,7 +215,7 @@ class Pilot:
             agent=vehicle.agent,
             velocity=velocity,
             target=_target(self._field.config, place, velocity),
-            height=self.map.height(vehicle.row),
+            height=vehicle.height,
             yaw=YAW,
             action=tuple(share.astype(np.float64).tolist()),
             hover=False,
@@ -222,6 +225,7 @@ class Pilot:
             validity=self._options.validity,
             stamp=pose.stamp,
             latency=latency,
+            vehicle_start=vehicle.start,
         )
 
     def _policy_objection(self, vehicle: Vehicle) -> tuple[str, str]:
@@ -244,7 +248,7 @@ class Pilot:
             agent=vehicle.agent,
             velocity=(0.0, 0.0),
             target=vehicle.place or (),
-            height=self.map.height(vehicle.row),
+            height=vehicle.height,
             yaw=YAW,
             action=(0.0, 0.0),
             hover=True,
@@ -254,6 +258,7 @@ class Pilot:
             validity=self._options.validity,
             stamp=pose.stamp if pose is not None else 0,
             latency=self._clock() - vehicle.began if pose is not None else 0.0,
+            vehicle_start=vehicle.start,
         )
 
     def _leader(self, vehicle: Vehicle) -> str:

@@ -23,6 +23,10 @@ LARGEST: Final = 1e3
 """Largest speed, acceleration and wind in a pose, m/s and m/s^2; more is another unit."""
 MOST_SERVED: Final = 4096
 """Most plots or sensors in one pose."""
+HEIGHT: Final = 2.0
+"""How far a vehicle's height may be from its type's, m; farther, it hovers, because take-off belongs to the pilot."""
+DOUBLED: Final = 2.0
+"""Seconds for which two vehicles of one name hover after both have been heard."""
 LOST_SECONDS: Final = 10.0
 """Silence after which a vehicle is lost for good, where the farm loses UAVs, s."""
 
@@ -75,17 +79,18 @@ class Vehicle:
         agent: the agent that it flies as.
         row: the agent's number in the team.
         items: plots or sensors that it may serve; 0 for a relay.
+        height: at which the agent flies, m.
         flown: whether this node flies it.
         newest: its newest pose that is used.
         place: the last place that is trusted, m.
         raw: the newest place, trusted or not, m.
-        began: when the newest pose came, by the pilot's clock, s.
-        arrived: the same in seconds since 1970.
+        began: when the newest pose came, by the pilot's monotonic clock, s.
         answered: whether a set-point has followed it.
         reason: why it hovers in this period, or empty.
         cause: the reason's sort.
         causes: hover set-points by cause.
         refused: poses that were not used.
+        misreported: reports of plots or sensors that do not exist, or from the future.
         missed: poses that never arrived.
         jumps: poses that are too far from the one before.
         lost: whether it is lost for good.
@@ -95,17 +100,18 @@ class Vehicle:
     agent: str
     row: int
     items: int
+    height: float
     flown: bool = True
     newest: PoseMessage | None = None
     place: tuple[float, float] | None = None
     raw: tuple[float, float] = (0.0, 0.0)
     began: float = 0.0
-    arrived: float = 0.0
     answered: bool = True
     reason: str = ""
     cause: str = ""
     causes: Counter[str] = field(default_factory=Counter)
     refused: int = 0
+    misreported: int = 0
     missed: int = 0
     jumps: int = 0
     lost: bool = False
@@ -113,6 +119,7 @@ class Vehicle:
     _mark: tuple[int, int] = (0, 0)
     _settled: int = 0
     _jump: float = 0.0
+    _doubled: float = -math.inf
     _complaint: str = ""
     _pending: dict[int, int] = field(default_factory=dict)
     _told: dict[int, int] = field(default_factory=dict)
@@ -128,7 +135,7 @@ class Vehicle:
             field_: what it is compared with.
         """
         try:
-            sender, message = self._checked(payload, attachment, now, field_)
+            sender, message = self._checked(payload, attachment, now, began, field_)
             raw = field_.place(message)
         except ProtocolError as error:
             self.refused += 1
@@ -138,32 +145,44 @@ class Vehicle:
         self.missed += max(0, sender.sequence - before - 1) if sender.incarnation == start else 0
         self._mark, self._complaint = (sender.incarnation, sender.sequence), ""
         self._compare(message, raw, field_)
-        self.newest, self.raw, self.began, self.arrived, self.answered = message, raw, began, now, False
+        self.newest, self.raw, self.began, self.answered = message, raw, began, False
         if message.stamp >= self._settled and field_.outside(raw) <= OUTSIDE:
             self.place = raw
         for item, stamp in zip(message.served.tolist(), message.served_stamp.tolist(), strict=True):
-            if stamp > self._told.get(item, -1):
+            if not (0 <= item < self.items and 0 <= stamp <= message.stamp):
+                self.misreported += 1
+            elif stamp > self._told.get(item, -1):
                 self._told[item] = self._pending[item] = stamp
         return True
 
-    def judge(self, now: float, field_: Field) -> None:
+    @property
+    def start(self) -> int:
+        """The incarnation of the vehicle that told the newest pose; 0 before the first."""
+        return self._mark[0]
+
+    def judge(self, now: float, clock: float, field_: Field) -> None:
         """Decide whether the vehicle has to hover in this period, and why.
 
         Args:
             now: seconds since 1970.
+            clock: the pilot's monotonic clock, s.
             field_: what poses are compared with.
         """
-        self.cause, self.reason = self._objection(now, field_)
+        self.cause, self.reason = self._objection(now, clock, field_)
 
     def visits(self) -> Iterator[tuple[int, int]]:
         """Yield what was served since the last call, with its time stamp."""
         pending, self._pending = self._pending, {}
         yield from pending.items()
 
-    def _checked(self, payload: bytes, attachment: bytes, now: float, field_: Field) -> tuple[Envelope, PoseMessage]:
+    def _checked(
+        self, payload: bytes, attachment: bytes, now: float, clock: float, field_: Field
+    ) -> tuple[Envelope, PoseMessage]:
         sender, message = Envelope.decode(attachment), PoseMessage.decode(payload)
         if (sender.role, sender.name) != ("vehicle", self.name):
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
+        if sender.incarnation < self._mark[0] and clock - self.began <= field_.age:
+            self._doubled = clock
         # An incarnation that is invented or from a fast clock locks nobody out for longer than the age.
         before = self.newest.stamp if self.newest is not None else 0
         waited = message.stamp > before + field_.age * 1e6
@@ -187,10 +206,6 @@ class Vehicle:
         served, stamps = message.served, message.served_stamp
         if served.ndim != 1 or served.shape != stamps.shape or len(served) > MOST_SERVED:
             raise SchemaError(f"what was served is not one list of at most {MOST_SERVED} with their time stamps.")
-        if any(not 0 <= item < self.items for item in served.tolist()):
-            raise SchemaError(f"it has served something beyond the {self.items} that {self.agent} can serve.")
-        if any(not 0 <= stamp <= message.stamp for stamp in stamps.tolist()):
-            raise SchemaError("it has served something after the pose's own time stamp.")
 
     def _compare(self, message: PoseMessage, raw: tuple[float, float], field_: Field) -> None:
         """Notice jumps, and estimate the acceleration where the vehicle does not tell."""
@@ -209,9 +224,10 @@ class Vehicle:
             gained = [after - before for after, before in zip(message.velocity, self.newest.velocity, strict=True)]
             self.acceleration = gained[0] / seconds, gained[1] / seconds
 
-    def _objection(self, now: float, field_: Field) -> tuple[str, str]:
+    def _objection(self, now: float, clock: float, field_: Field) -> tuple[str, str]:
         pose = self.newest
-        late = pose is None or max(abs(now - pose.stamp / 1e6), abs(now - self.arrived)) > field_.age
+        silent = clock - self.began
+        late = pose is None or max(abs(now - pose.stamp / 1e6), silent) > field_.age
         found = "", ""
         if self.lost or (pose is not None and pose.lost):
             found = "lost", "it is out of service"
@@ -220,11 +236,15 @@ class Vehicle:
         elif pose is None:
             found = "missing", "no pose has come yet"
         elif late:
-            found = "late", f"no pose for {max(now - self.arrived, now - pose.stamp / 1e6):.1f} s"
+            found = "late", f"no pose for {max(silent, now - pose.stamp / 1e6):.1f} s"
+        elif clock - self._doubled < DOUBLED:
+            found = "doubled", "two vehicles have this name; stop one of them"
         elif (over := field_.outside(self.raw)) > OUTSIDE:
             found = "field", f"it is {over:.0f} m outside the field; is it another one's?"
         elif pose.stamp < self._settled:
             found = "jump", f"its pose jumped by {self._jump:.0f} m"
+        elif abs(pose.height - self.height) > HEIGHT:
+            found = "height", f"it is {pose.height:.1f} m high, and its type flies at {self.height:g} m"
         elif field_.config.battery.some and pose.charge is None:
             found = "sensors", "it does not tell its battery's charge"
         elif field_.config.wind.some and not pose.wind:

@@ -1,12 +1,16 @@
 """A vehicle's side of the link: poses out, set-points in. For the simulator and for bridges to real vehicles.
 
-A vehicle obeys one flight node at a time, the first that commands it. Another one's set-points are refused until the
-first has been silent for RELEASE_SECONDS. Poses tell whom the vehicle obeys, and who else wants it, so both nodes know.
+A vehicle obeys one flight node at a time, the first that commands it. Another one's set-points, and those of another
+start of the same, are refused until the first has been silent for RELEASE_SECONDS. Poses tell whom the vehicle obeys,
+and who else wants it, so both nodes know.
+
+A set-point that moves the vehicle answers a pose that this very link has published of late, by its own monotonic clock.
+So neither old messages nor those for another vehicle of the same name are flown, whatever any clock shows.
 """
 
 import math
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -22,16 +26,20 @@ from eia_sec.common.transport.bus import Bus
 WAITING: Final = 16
 """Set-points that wait to be read; the oldest are dropped."""
 RELEASE_SECONDS: Final = 2.0
-"""After this silence of a flight node the vehicle obeys another one, or an earlier start of the same."""
+"""After this silence of a flight node the vehicle obeys another one, or another start of the same."""
+NODES: Final = 64
+"""Most starts of flight nodes whose last message is remembered, so that none is obeyed twice."""
 RECENT_SECONDS: Final = 5.0
 """Time for which poses repeat what was served, because messages may be lost."""
 MOST_RECENT: Final = 1024
 """Most plots or sensors that a pose repeats, the newest."""
-LONGEST_VALIDITY: Final = 10.0
-"""Longest validity of a set-point that is obeyed, s."""
-OLDEST_POSE: Final = 2.0
-"""Oldest pose on which a decision is obeyed, besides the set-point's validity, s. A link that was held up brings old
-set-points at once."""
+LONGEST_VALIDITY: Final = 1.0
+"""Longest validity of a set-point that is obeyed, s; shorter than RELEASE_SECONDS, so no claim ends before it."""
+OLDEST_POSE: Final = 1.0
+"""Oldest pose on which a decision is obeyed, s: it is flown until OLDEST_POSE and its validity have passed since the
+pose, and no longer, however long it was on the way."""
+HEIGHTS: Final = (2.0, 120.0)
+"""Lowest and highest height at which a vehicle follows set-points unless told otherwise, m."""
 HOVER: Final = (0.0, 0.0)
 
 
@@ -49,6 +57,7 @@ class Pose:
         wind: along x and y; empty if it does not know it.
         geodetic: whether `place` is in degrees.
         lost: whether it is out of service for good.
+        age: time since it was measured.
     """
 
     place: tuple[float, float]
@@ -60,6 +69,7 @@ class Pose:
     wind: tuple[float, ...] = ()
     geodetic: bool = False
     lost: bool = False
+    age: float = 0.0
 
 
 class VehicleLink:
@@ -71,11 +81,13 @@ class VehicleLink:
         vehicle: the vehicle's name; with TLS that of its certificate.
         agent: the agent that it flies as.
         fastest: largest speed along x and y that it accepts, m/s.
+        heights: lowest and highest height to fly at that it accepts, m.
         clock: seconds since 1970.
         monotonic: seconds that never go back.
 
     Attributes:
-        refused: set-points that were not obeyed: malformed, old, for another agent, too fast, or of another node.
+        refused: set-points that were not obeyed: malformed, old, not on a pose of this link, for another agent, too
+            fast, too low, too high, or of another node.
         lapses: times that a set-point's validity ended before the next one came.
         node: the flight node that the vehicle obeys, or empty.
     """
@@ -89,14 +101,17 @@ class VehicleLink:
         fastest: tuple[float, float],
         clock: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
+        heights: tuple[float, float] = HEIGHTS,
     ) -> None:
         self._publisher = bus.publish(keys.POSE.key(run, vehicle=vehicle))
         self._setpoints = bus.subscribe(keys.SETPOINT.key(run, vehicle=vehicle), WAITING)
-        self._vehicle, self._agent, self._fastest = vehicle, agent, fastest
+        self._vehicle, self._agent, self._fastest, self._heights = vehicle, agent, fastest, heights
         self._clock, self._monotonic = clock, monotonic
         self._start, self._sequence, self._stamp = new_incarnation(), 0, 0
         self._served: deque[tuple[int, int]] = deque(maxlen=MOST_RECENT)
-        self._mark, self._heard = (0, 0), -math.inf
+        self._told: OrderedDict[int, float] = OrderedDict()
+        self._marks: OrderedDict[tuple[str, int], int] = OrderedDict()
+        self._node_start, self._heard, self._until = 0, -math.inf, -math.inf
         self._obeyed: SetpointMessage | None = None
         self._decision = 0
         self._rival, self._rivalled = "", -math.inf
@@ -109,17 +124,22 @@ class VehicleLink:
         Args:
             items: numbers of plots, column by column from the field's corner, or of sensors.
         """
-        stamp = self._now()
+        stamp = int(self._clock() * 1e6)
         self._served.extend((int(item), stamp) for item in items)
 
     def publish(self, pose: Pose) -> None:
         """Publish where the vehicle is, and what it has served of late."""
-        stamp = self._now()
+        now = self._monotonic()
+        stamp = self._stamp = max(self._stamp + 1, int((self._clock() - pose.age) * 1e6))
+        self._told[stamp] = now - pose.age
+        while self._told and now - next(iter(self._told.values())) > OLDEST_POSE + LONGEST_VALIDITY:
+            self._told.popitem(last=False)
         while self._served and stamp - self._served[0][1] > RECENT_SECONDS * 1e6:
             self._served.popleft()
+        served = [(item, when) for item, when in self._served if when <= stamp]
         self._sequence += 1
         leads = self._leads()
-        wanted = self._monotonic() - self._rivalled < RELEASE_SECONDS
+        wanted = now - self._rivalled < RELEASE_SECONDS
         message = PoseMessage(
             agent=self._agent,
             stamp=stamp,
@@ -134,10 +154,10 @@ class VehicleLink:
             lost=pose.lost,
             decision=self._decision,
             node=self.node if leads else "",
-            node_start=self._mark[0] if leads else 0,
+            node_start=self._node_start if leads else 0,
             rival=self._rival if wanted else "",
-            served=np.array([item for item, _ in self._served], np.int32),
-            served_stamp=np.array([when for _, when in self._served], np.int64),
+            served=np.array([item for item, _ in served], np.int32),
+            served_stamp=np.array([when for _, when in served], np.int64),
         )
         self._publisher.put(message.encode(), Envelope("vehicle", self._vehicle, self._start, self._sequence).encode())
 
@@ -150,27 +170,26 @@ class VehicleLink:
             except ProtocolError:
                 self.refused += 1
                 continue
-            self._mark, self._heard = (sender.incarnation, sender.sequence), self._monotonic()
-            self.node, self._obeyed = sender.name, message
+            self._heard = self._monotonic()
+            told = math.inf if message.hover else self._told[message.stamp]
+            self._until = min(self._heard, told + OLDEST_POSE) + message.validity
+            self._marks[sender.name, sender.incarnation] = sender.sequence
+            self._marks.move_to_end((sender.name, sender.incarnation))
+            if len(self._marks) > NODES:
+                self._marks.popitem(last=False)
+            self.node, self._node_start, self._obeyed = sender.name, sender.incarnation, message
             self._decision = message.decision or self._decision
-        silent = self._monotonic() - self._heard
         if self._obeyed is None:
             return self._hover("no set-point has come yet")
-        if silent > self._obeyed.validity:
-            if not (self._obeyed.hover and self._obeyed.period == 0):
-                self.lapses += 1
-            self._obeyed = self._hover("the last set-point's validity is over")
+        if self._monotonic() > self._until:
+            self.lapses += 1
+            self._obeyed, self._until = self._hover("the last set-point's validity is over"), math.inf
         return self._obeyed
 
     @property
     def silent(self) -> float:
         """Seconds since the last set-point that was obeyed; infinite before the first."""
         return self._monotonic() - self._heard
-
-    def _now(self) -> int:
-        """Return the time stamp of what is told now, greater than all before it, microseconds since 1970."""
-        self._stamp = max(self._stamp + 1, int(self._clock() * 1e6))
-        return self._stamp
 
     def _leads(self) -> bool:
         return bool(self.node) and self.silent < RELEASE_SECONDS
@@ -179,24 +198,28 @@ class VehicleLink:
         """Return hover by the vehicle's own decision; no node's period has the number 0."""
         last = self._obeyed
         height, yaw = (last.height, last.yaw) if last is not None else (0.0, 0.0)
-        return SetpointMessage(self._agent, HOVER, (), height, yaw, HOVER, True, reason, 0, 0, math.inf, 0, 0.0)
+        return SetpointMessage(self._agent, HOVER, (), height, yaw, HOVER, True, reason, 0, 0, math.inf, 0, 0.0, 0)
 
     def _check(self, sender: Envelope, message: SetpointMessage) -> None:
         if sender.role != "flight":
             raise ProtocolError("the set-point is not from a flight node.")
-        if self._leads():
-            if sender.name != self.node:
-                self._rival, self._rivalled = sender.name, self._monotonic()
-                raise ProtocolError(f"the vehicle obeys the flight node {self.node}.")
-            if (sender.incarnation, sender.sequence) <= self._mark:
-                raise ProtocolError("the set-point is not newer than the last one.")
+        if self._leads() and (sender.name, sender.incarnation) != (self.node, self._node_start):
+            self._rival, self._rivalled = sender.name, self._monotonic()
+            raise ProtocolError(f"the vehicle obeys the flight node {self.node}.")
+        if sender.sequence <= self._marks.get((sender.name, sender.incarnation), -1):
+            raise ProtocolError("the set-point is not newer than the last one.")
         if message.agent != self._agent or len(message.velocity) != 2:
             raise SchemaError("the set-point is for another agent.")
         if any(abs(part) > most for part, most in zip(message.velocity, self._fastest, strict=True)):
             raise SchemaError("the set-point is faster than this vehicle may fly.")
-        if not message.hover and self._clock() - message.stamp / 1e6 > message.validity + OLDEST_POSE:
-            raise ProtocolError("the set-point follows from a pose that is too old.")
         if message.hover and any(message.velocity):
             raise SchemaError("a hover set-point must have velocity 0.")
         if not 0.0 < message.validity <= LONGEST_VALIDITY:
             raise SchemaError("the set-point's validity is no time for which to obey it.")
+        if message.hover:
+            return
+        if not self._heights[0] <= message.height <= self._heights[1]:
+            raise SchemaError("the set-point is lower or higher than this vehicle may fly.")
+        told = self._told.get(message.stamp) if message.vehicle_start == self._start else None
+        if told is None or self._monotonic() >= told + OLDEST_POSE + message.validity:
+            raise ProtocolError("the set-point does not answer a pose that this vehicle has told of late.")

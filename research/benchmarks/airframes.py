@@ -50,6 +50,8 @@ SUBSTEP: Final = 0.025
 """Step of rotorpy, s."""
 BEFORE: Final = 16
 """Periods before the flight begins, in which set-points stream and the pilot chooses Offboard."""
+GO: Final = 4
+"""Periods of these after the pilot's go, in which bridges see it."""
 RUN: Final = "airframes"
 
 
@@ -176,15 +178,12 @@ def fly(arguments: Arguments) -> dict[str, Any]:
     incoming = {v: air.subscribe(keys.POSE.key(RUN, vehicle=v), 16) for v in names}
     outgoing = {v: air.publish(keys.SETPOINT.key(RUN, vehicle=v)) for v in names}
     found: dict[str, SetpointMessage] = {}
-    rotors[names[-1]].mute = True  # the flight begins with the last one's pose
     for period in range(BEFORE + PERIODS * arguments.steps + 1):
         clock.now += 1.0 / PERIODS
         for rotor in rotors.values():
             rotor.turn()
-        if period == BEFORE:
+        if period == BEFORE - GO:
             _arm(rotors.values())
-            rotors[names[-1]].mute = False
-            rotors[names[-1]].turn()
         elif period > BEFORE and (period - BEFORE) % PERIODS == 0:
             judge.look_at(list(rotors.values()), np.array([found[v].action for v in names]))
             for u, items in judge.visits.items():
@@ -192,7 +191,8 @@ def fly(arguments: Arguments) -> dict[str, Any]:
         for bridge in bridges.values():
             bridge.turn()
         for v, poses in incoming.items():
-            for sample in poses.drain():
+            begins = v == names[-1]  # the flight, with its first pose
+            for sample in poses.drain() if period >= BEFORE or not begins else ():
                 pilot.offer(v, sample.payload, sample.attachment, clock.now)
         found = pilot.decide(clock.now)
         for v, message in found.items():

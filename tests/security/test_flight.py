@@ -40,7 +40,9 @@ def test_a_vehicle_flies_alone_under_its_own_name(keys_folder):
         forged = VehicleLink(other, RUN, "uav", AGENT, SPEED)
         command = other.publish(keys.SETPOINT.key(RUN, vehicle="uav"))
         far = dataclasses.replace(HERE, place=(1e6, 1e6))
-        steer = SetpointMessage(AGENT, (9.0, 9.0), (), 22.0, 0.0, (0.9, 0.9), False, "", 99, 99, 5.0, 1, 0.0).encode()
+        steer = SetpointMessage(
+            AGENT, (9.0, 9.0), (), 22.0, 0.0, (0.9, 0.9), False, "", 99, 99, 0.5, 1, 0.0, 1
+        ).encode()
         heard = pilot.vehicles
         deadline = time.monotonic() + SECONDS
         while not (heard["uav"].newest and heard["other"].newest) and time.monotonic() < deadline:

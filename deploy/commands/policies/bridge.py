@@ -17,7 +17,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.commands.policies.fly import vehicles_of
 from eia_sec.deploy.flight.mavlink import BridgeOptions, MavlinkBridge
-from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.flight.vehicle import HEIGHTS, VehicleLink
 from eia_sec.deploy.options import parse
 
 WAITING: Final = 256
@@ -39,6 +39,10 @@ class MavlinkArguments:
     --origin to `eia-sec fly`."""
     fastest: tuple[float, float] = (10.0, 10.0)
     """Largest speed along x and y that is obeyed, m/s; faster set-points are refused."""
+    heights: tuple[float, float] = HEIGHTS
+    """Lowest and highest height that is obeyed, m above the autopilot's home; other set-points are refused."""
+    baud: int = 115200
+    """Baud rate of a serial line."""
     rate: float = 20.0
     """Set-points to the autopilot and poses to the flight node per second, at least 2."""
     reports: bool = False
@@ -59,16 +63,18 @@ def command(arguments: Sequence[str]) -> int:
     check_name(options.run, "run")
     within(2.0, 1000.0, rate=options.rate)
     within(1, 255, system=options.system)
-    positive(patience=options.patience, fastest=min(options.fastest))
+    positive(patience=options.patience, fastest=min(options.fastest), baud=options.baud)
+    if not 0.0 < options.heights[0] < options.heights[1]:
+        raise UsageError("--heights takes the lowest height above the ground and a higher one, m.")
     ((vehicle, agent),) = vehicles_of([options.vehicle]).items()
     endpoint = Endpoint.parse(options.connect, options.tls)
     if endpoint.credentials is not None:
         endpoint.credentials.require("vehicle", vehicle)
     stop = StopSignal()
     stop.install()
-    how = BridgeOptions(options.autopilot, options.system, options.rate, options.local)
+    how = BridgeOptions(options.autopilot, options.system, options.rate, options.local, options.baud)
     with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
-        link = VehicleLink(bus, options.run, vehicle, agent, options.fastest)
+        link = VehicleLink(bus, options.run, vehicle, agent, options.fastest, heights=options.heights)
         bridge = MavlinkBridge(link, how)
         lines = _Lines() if options.reports else None
         log(f"{vehicle} flies as {agent}; its autopilot is at {options.autopilot}.")

@@ -21,7 +21,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.flight.deciders import ActorDecider, Decider, HeuristicDecider
 from eia_sec.deploy.flight.farm_map import FarmMap, team_vehicles
-from eia_sec.deploy.flight.node import FlightNode, NodeOptions
+from eia_sec.deploy.flight.node import FlightNode, NodeOptions, require_absent
 from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
 from eia_sec.deploy.flight.record import FlightRecord
@@ -66,12 +66,12 @@ class FlyArguments:
     only: tuple[str, ...] = ()
     """Vehicles that this node flies; the others' poses count in its map. Default: all."""
     rate: float = 10.0
-    """Set-points per second for each vehicle; the policy decides once in each step of the farm."""
+    """Set-points per second for each vehicle, at least 2; the policy decides once in each step of the farm."""
     validity: float = 0.5
-    """Seconds for which a vehicle may follow a set-point; after that it hovers by itself."""
+    """Seconds for which a vehicle may follow a set-point, at most 1; after that it hovers by itself."""
     max_age: float = 1.0
     """Oldest pose that is used, and largest difference between the vehicle's clock and this machine's, seconds; at most
-    2, because vehicles refuse decisions on older ones."""
+    1, because vehicles refuse decisions on older ones."""
     lockstep: bool = False
     """Begin each step when all vehicles have flown the one before instead of by the clock; for `eia-sec simulator`."""
     record: Path | None = None
@@ -88,7 +88,7 @@ def command(arguments: Sequence[str]) -> int:
     check_name(options.run, "run")
     check_name(options.name, "name")
     within(0, 2**62, farm=options.farm)
-    within(0.1, 1000.0, rate=options.rate)
+    within(2.0, 1000.0, rate=options.rate)
     within(1.0 / options.rate, LONGEST_VALIDITY, validity=options.validity)
     within(0.01, OLDEST_POSE, max_age=options.max_age)
     within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
@@ -110,6 +110,8 @@ def command(arguments: Sequence[str]) -> int:
             if options.connect
             else Bus.listen(endpoint, "control")
         )
+        if options.connect:
+            require_absent(bus, options.run, options.name)
         listens = None if options.connect else endpoint
         how = NodeOptions(options.run, options.name, start, options.rate, options.seconds, listens)
         node = FlightNode(how, pilot, bus, record)

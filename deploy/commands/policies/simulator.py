@@ -1,6 +1,7 @@
 """`eia-sec simulator`: a simulated farm in the place of real vehicles, flown by `eia-sec fly`."""
 
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -92,7 +93,7 @@ def _links(
             folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None
             endpoint = Endpoint.parse(options.connect, folder)
             shared = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
-        links[agent] = VehicleLink(shared, options.run, vehicle, agent, fastest)
+        links[agent] = VehicleLink(shared, options.run, vehicle, agent, fastest, heights=(0.0, math.inf))
     return links
 
 

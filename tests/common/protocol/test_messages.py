@@ -62,7 +62,7 @@ EXAMPLES = [
     ),
     SetpointMessage(
         *("monitoring_1", (1.25, -10.0), (13.75, 290.0), 20.0, 0.0, (0.125, -1.0)),
-        *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004),
+        *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004, 5),
     ),
     WatchRequest("somebody", True),
     WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),

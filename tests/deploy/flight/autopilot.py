@@ -44,6 +44,7 @@ class FakeAutopilot:
     Attributes:
         mute: whether it keeps its position for itself.
         frozen: whether its positions' time stands still.
+        broken: whether its positions are no numbers.
     """
 
     def __init__(self, port, clock, kind="px4", origin=None, height=20.0, system=1):
@@ -55,7 +56,7 @@ class FakeAutopilot:
         self.place, self.velocity, self.wanted, self.yaw = [0.0, 0.0, -height], [0.0] * 3, [0.0] * 3, 0.0
         self._begin = self._last = self._beat = clock()
         self._stamp = 1
-        self._asked, self.mute = kind == "px4", False
+        self._asked, self.mute, self.broken = kind == "px4", False, False
         self._gap_since = self._latest = -math.inf
         self.accepted, self.rejected, self.commands, self.failsafes = 0, [], [], 0
 
@@ -127,7 +128,8 @@ class FakeAutopilot:
             self._stamp = 1 + int(1e3 * (now - self._begin))
         tells = self._asked and not self.mute
         if tells:
-            self._wire.mav.local_position_ned_send(self._stamp, *self.place, *self.velocity)
+            place = [math.nan] * 3 if self.broken else self.place
+            self._wire.mav.local_position_ned_send(self._stamp, *place, *self.velocity)
         if tells and self._origin is not None:
             longitude, latitude = self._origin.to_degrees(np.array([[self.place[1], self.place[0]]]))[0]
             height, speeds = int(-1e3 * self.place[2]), [int(100 * speed) for speed in self.velocity]

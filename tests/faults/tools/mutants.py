@@ -53,7 +53,7 @@ def samples() -> dict[str, bytes]:
         ),
         messages.SetpointMessage(
             *("a_0", (1.25, -10.0), (13.75, 290.0), 20.0, 0.0, (0.125, -1.0)),
-            *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004),
+            *(False, "", 7, 9, 0.5, 1_700_000_000_000_000, 0.0004, 5),
         ),
         messages.MetricMessage(1, "host", 2, 0.5, {"a": 1, "b": [1.5, "x"], "c": {"d": None}}),
         messages.WatchRequest("somebody", True),
