@@ -7,7 +7,7 @@ This module loads torch; whoever needs no network of a plug-in does not import i
 
 `shape` is (o,) of a vector, or (channels, height, width) of an image, whose bytes are scaled to 0..1. Vectors hold
 action masks, images come without. `outputs` are an actor's, see `eia_sec.common.actors`, or those of a value function.
-A module is always in evaluation mode.
+A module is always in evaluation mode. `eia_sec.common.module_trials` says what is refused before a run.
 
 All that a module learns are its parameters. They are one row of numbers, so that they travel, are stored and are
 blended as those of perceptrons are. Its order is that of `named_parameters`. Before them, a network that reads vectors
@@ -16,7 +16,10 @@ trained (`eia_sec.learner.on_policy.normalisation`).
 """
 
 import math
+import random
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Final, cast
 
@@ -35,6 +38,7 @@ WHITE: Final = 255.0
 KEPT: Final = 32
 """Modules that a thread keeps."""
 _OF_THREAD: Final = threading.local()
+_DRAWING: Final = threading.RLock()
 
 
 class FlatModule:
@@ -45,6 +49,8 @@ class FlatModule:
         shape: of one input.
         outputs: numbers that it returns.
         device: torch device of what it holds besides parameters; "meta" for shapes alone.
+        seed: of whatever the module draws while it is made. Parameters come from outside; anything else that it draws
+            is thus the same in every process.
 
     Attributes:
         shapes: of the row's parts: shift and scale of inputs that are vectors, then the parameters.
@@ -54,10 +60,11 @@ class FlatModule:
         PluginError: the plug-in is not loaded, or its module cannot be made or used.
     """
 
-    def __init__(self, options: NetworkConfig, shape: Shape, outputs: int, device: str = "cpu") -> None:
+    def __init__(self, options: NetworkConfig, shape: Shape, outputs: int, device: str = "cpu", seed: int = 0) -> None:
         self._options, self._shape, self._outputs = options, shape, outputs
-        self.what, self._module = _made(options, shape, outputs, device)
-        self._tried(device)
+        with seeded(seed):
+            self.what, self._module = _made(options, shape, outputs, device)
+            self._tried(device)
         named = dict(self._module.named_parameters())
         _require_trainable(self.what, self._module, named)
         self._names = list(named)
@@ -72,9 +79,7 @@ class FlatModule:
 
     def drawn(self, seed: int) -> Float32:
         """Return fresh parameters [P]; equal seeds give equal ones."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            fresh = FlatModule(self._options, self._shape, self._outputs)
+        fresh = FlatModule(self._options, self._shape, self._outputs, seed=seed)
         if fresh.shapes != self.shapes:
             raise PluginError(f"{self.what} has other parameters each time it is made.")
         parts = [np.ravel(parameter.detach().numpy()) for parameter in fresh._module.parameters()]
@@ -96,6 +101,10 @@ class FlatModule:
     def named(self, flat: Tensor) -> dict[str, Tensor]:
         """Return views of the parameters in a row [P] by their names in the module."""
         return dict(zip(self._names, self._parts(flat)[len(self._affine) :], strict=True))
+
+    def buffers(self) -> dict[str, Tensor]:
+        """Return what the module holds besides parameters, by name."""
+        return dict(self._module.named_buffers())
 
     def affine(self, flat: Tensor) -> list[Tensor]:
         """Return shift and scale of inputs that are vectors, [o] each; nothing for images."""
@@ -188,6 +197,21 @@ def _kept(options: NetworkConfig, shape: Shape, outputs: int) -> FlatModule:
             kept.pop(next(iter(kept)))
         kept[key] = FlatModule(*key)
     return kept[key]
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Let torch, numpy and random draw from a seed in the body, and then go on as if there had been no body."""
+    with _DRAWING, torch.random.fork_rng(devices=[]):
+        python, numpy = random.getstate(), np.random.get_state()
+        torch.manual_seed(seed)
+        random.seed(seed)
+        np.random.seed(seed % 2**32)
+        try:
+            yield
+        finally:
+            random.setstate(python)
+            np.random.set_state(numpy)
 
 
 def _made(options: NetworkConfig, shape: Shape, outputs: int, device: str) -> tuple[str, nn.Module]:

@@ -1,11 +1,11 @@
-"""Whether a run's networks can read what its environment shows, before any process of it starts."""
+"""Whether a run's networks can read what its environment shows, and work, before any process of it starts."""
 
 from collections.abc import Sequence
 from typing import Final
 
 from eia_sec.common import plugins
-from eia_sec.common.actors import actor_parameters
-from eia_sec.common.config import NetworkConfig, RunConfig
+from eia_sec.common.actors import actor_outputs
+from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.team import GroupSpec, TeamSpec
 
@@ -17,7 +17,7 @@ def require_networks(config: RunConfig, team: TeamSpec) -> None:
 
     Raises:
         ConfigError: they read something else.
-        PluginError: a plug-in's network cannot be made or used.
+        PluginError: no loaded plug-in has the network.
     """
     module = config.module
     if module is None:
@@ -33,8 +33,23 @@ def require_networks(config: RunConfig, team: TeamSpec) -> None:
                 f"the plug-in {plugin} reads {' and '.join(f'{each}s' for each in reads)}; say with reads what it "
                 "reads, or choose another one with --algorithm.network."
             )
-        actor_parameters(group, config.algorithm.hidden, "gaussian", module=module)
-    _require_values(config, module, team)
+    _require_joined_images(config, team)
+
+
+def try_networks(config: RunConfig, team: TeamSpec) -> None:
+    """Make and call the networks of a plug-in, whose sizes have been found to fit.
+
+    Raises:
+        PluginError: one cannot be made or used.
+    """
+    module = config.module
+    if module is None:
+        return
+    from eia_sec.common.module_trials import try_network  # noqa: PLC0415  (loads torch; perceptrons do without here)
+
+    for group in team.groups:
+        try_network(module, group.seen, actor_outputs(group, "gaussian"))
+        try_network(module, *((team.seen, group.count) if config.on_policy.sees_team else (group.seen, 1)))
 
 
 def _require_vectors(config: RunConfig, groups: Sequence[GroupSpec]) -> None:
@@ -52,18 +67,13 @@ def _require_vectors(config: RunConfig, groups: Sequence[GroupSpec]) -> None:
             )
 
 
-def _require_values(config: RunConfig, module: NetworkConfig, team: TeamSpec) -> None:
-    """Raise ConfigError where value functions see all agents' images and cannot join them, or PluginError."""
-    sees_team = config.on_policy.sees_team
-    if sees_team and len({group.seen[1:] for group in team.groups}) > 1:
+def _require_joined_images(config: RunConfig, team: TeamSpec) -> None:
+    """Raise ConfigError where value functions see all agents' images and cannot join them."""
+    if config.on_policy.sees_team and len({group.seen[1:] for group in team.groups}) > 1:
         raise ConfigError(
             f"the value functions of {config.algorithm.name} see all agents at once, and those of {config.env.name} "
             "see images of several sizes, or some see none; ippo's see one agent each."
         )
-    from eia_sec.common.modules import flat_size  # noqa: PLC0415  (loads torch, which perceptrons here do without)
-
-    for group in team.groups:
-        flat_size(module, *((team.seen, group.count) if sees_team else (group.seen, 1)))
 
 
 def _seen(group: GroupSpec) -> str:

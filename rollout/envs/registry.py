@@ -18,7 +18,7 @@ from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.team import TeamSpec
 from eia_sec.rollout.envs.base import Environments, Patience, Reach
-from eia_sec.rollout.envs.networks import require_networks
+from eia_sec.rollout.envs.networks import require_networks, try_networks
 from eia_sec.rollout.heuristics.random import RandomPolicy
 
 TRIAL_STEPS: Final = 3
@@ -177,6 +177,7 @@ def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
             "do not allow: add --elite.farms 0, which scores agents by their rewards in training."
         )
     require_frames(config, spec)
+    try_networks(config, spec.team)
     return spec
 
 
