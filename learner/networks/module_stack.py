@@ -61,10 +61,10 @@ class ModuleStack(Stack):
         return torch.stack([self._module(row, seen) for row, seen in own], dim=1)
 
     @torch.no_grad()
-    def rescale_inputs(self, shift: Tensor, scale: Tensor) -> None:
+    def rescale_inputs(self, shift: Tensor, scale: Tensor, flat: Tensor | None = None) -> None:
         """Let networks read x as they have read `shift + scale x`; images are read as they are."""
         if self._vectors:
-            added, factor = self.layers[:2]
+            added, factor = (self.layers if flat is None else self.layers_of(flat))[:2]
             added += factor * shift
             factor *= scale
 

@@ -125,19 +125,25 @@ class Stack(nn.Module):
         """Return outputs and states, which only networks with memory have (`eia_sec.learner.networks.recurrent`)."""
         raise NotImplementedError("networks without memory have no states.")
 
-    def export(self) -> Float32:
-        """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`."""
-        return self.flat.detach()[:, : self.size].cpu().numpy().copy()
+    def export(self, flat: Tensor | None = None) -> Float32:
+        """Return a copy of the parameters, [S, P] float32, in the order of `eia_sec.common.actors`.
+
+        Args:
+            flat: parameters [S, P] in place of the stack's own.
+        """
+        own = self.flat.detach() if flat is None else flat
+        return own[:, : self.size].cpu().numpy().copy()
 
     @torch.no_grad()
-    def rescale_inputs(self, shift: Tensor, scale: Tensor) -> None:
+    def rescale_inputs(self, shift: Tensor, scale: Tensor, flat: Tensor | None = None) -> None:
         """Change first layers W1 [S, i, h] and b1 [S, h], so that networks read x as they have read `shift + scale x`.
 
         Args:
             shift: [inputs].
             scale: [inputs].
+            flat: parameters [S, P] to change in place of the stack's own.
         """
-        weight, bias = self.layers[:2]
+        weight, bias = (self.layers if flat is None else self.layers_of(flat))[:2]
         bias += torch.einsum("i,sih->sh", shift, weight)
         weight *= scale[:, None]
 

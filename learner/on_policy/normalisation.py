@@ -6,6 +6,9 @@
 Both change once an iteration, at its start. Networks then keep their function: first layers take up what m and s have
 moved by, last layers of value functions what m_R and s_R have (PopArt, van Hasselt et al. 2016). Published actors have
 the first line folded into their first layer, so whoever acts with them reads observations as they are.
+
+A plug-in's networks read what has moved as it is. For them m and s change at an iteration's end, so that actors learn
+from the inputs that they acted on.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,6 @@
 """The actors of all types."""
 
 from collections.abc import Sequence
-from copy import deepcopy
 
 from torch import Tensor, nn
 
@@ -63,7 +62,7 @@ class Policies(nn.Module):
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors, which read observations as they are."""
-        flat = tuple(self._unscaled(stack, kind).export() for kind, stack in enumerate(self.stacks))
+        flat = tuple(self._published(stack, kind) for kind, stack in enumerate(self.stacks))
         return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory, self._config.module)
 
     def load(self, flat: Sequence[Float32]) -> None:
@@ -76,14 +75,14 @@ class Policies(nn.Module):
         if self.scales is not None and self.scales.fresh:
             self.scales.loaded.fill_(1.0)
 
-    def _unscaled(self, stack: Stack, kind: int) -> Stack:
-        """Return a type's networks as those that read observations as they are."""
+    def _published(self, stack: Stack, kind: int) -> Float32:
+        """Return a copy of a type's parameters, as those of networks that read observations as they are."""
         if self.scales is None:
-            return stack
+            return stack.export()
         shift, scale = self.scales.of_type(kind)
-        found = deepcopy(stack)
-        found.rescale_inputs(-shift / scale, 1.0 / scale)
-        return found
+        flat = stack.flat.detach().clone()
+        stack.rescale_inputs(-shift / scale, 1.0 / scale, flat)
+        return stack.export(flat)
 
 
 def initialisation_names(

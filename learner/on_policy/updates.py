@@ -101,6 +101,7 @@ class Updates:
         self._rows: dict[str, Tensor] = {}
         self._seen = NOTHING_SEEN
         self._states: IterationStates | None = None
+        self._begun: Rows | None = None
         self.stopped = [False] * len(team.groups)
 
     def separated(self) -> "Updates":
@@ -133,7 +134,8 @@ class Updates:
         """
         config, device = self._config, self._device
         self.stopped = [steps <= config.value_steps] * len(self._team.groups)
-        if config.normalise_observations:
+        self._begun = rows
+        if not self._scales_follow:
             self._take_in_observations(rows)
         self._load(rows)
         states, team = self._states, self._seen.team
@@ -154,8 +156,19 @@ class Updates:
             self._decouple(rows)
         self.diagnostics.begin(value[used], returns[used])
 
+    @property
+    def _scales_follow(self) -> bool:
+        """Whether an iteration's rows change what observations are scaled by after its updates, and not before.
+
+        A plug-in's network does not keep its function when its inputs move. So it learns from inputs as it has acted on
+        them; its ratios would else not begin with 1.
+        """
+        return self._config.module is not None
+
     def _take_in_observations(self, rows: Rows) -> None:
         """Update what observations are scaled by; networks that have learnt keep their function."""
+        if not self._config.normalise_observations:
+            return
         scales, kinds = self._scales, range(len(self._groups))
         fresh, before = scales.fresh, [scales.of_type(kind) for kind in kinds]
         team_before = scales.of_team()
@@ -373,6 +386,7 @@ class Updates:
 
     def resume(self, rows: Rows, tensors: dict[str, Tensor], stopped: list[bool]) -> None:
         """Continue an iteration with what it had computed from its rows."""
+        self._begun = rows
         self._load(rows)
         self._rows |= {name: tensors[name].to(self._device) for name in self._computed}
         if self._states is not None:
@@ -381,6 +395,9 @@ class Updates:
 
     def end(self) -> None:
         """Forget the iteration's rows, and which actors have stopped in it."""
+        if self._begun is not None and self._scales_follow:
+            self._take_in_observations(self._begun)
+        self._begun = None
         self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
 

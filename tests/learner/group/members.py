@@ -46,8 +46,8 @@ def doubled(updates: Updates) -> Updates:
     return updates
 
 
-def _rescale_inputs(stack: Stack, shift: torch.Tensor, scale: torch.Tensor) -> None:
-    Stack.rescale_inputs(stack, shift.double(), scale.double())
+def _rescale_inputs(stack: Stack, shift: torch.Tensor, scale: torch.Tensor, flat: torch.Tensor | None = None) -> None:
+    Stack.rescale_inputs(stack, shift.double(), scale.double(), flat)
 
 
 class DoubledLeader(LeadingUpdates):

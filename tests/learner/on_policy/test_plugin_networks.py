@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from types import ModuleType
 
 import numpy as np
@@ -13,14 +14,16 @@ import eia_sec
 from eia_sec.common import plugins
 from eia_sec.common.config.files import digest, from_toml, read_saved, to_toml, with_values
 from eia_sec.common.config.presets import preset
-from eia_sec.common.errors import ConfigError, PolicyError, SchemaError
+from eia_sec.common.errors import ConfigError, PluginError, PolicyError, SchemaError
 from eia_sec.common.protocol.chunk_messages import to_message
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.message_sizes import chunk_bytes
 from eia_sec.common.protocol.messages import ChunkMessage
+from eia_sec.learner.on_policy.experience import step_rows
 from eia_sec.learner.on_policy.mappo import joined_images
 from eia_sec.learner.trainers import make_trainer
 from eia_sec.rollout.envs.networks import require_networks
+from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.start_policy import start_parameters
 from eia_sec.rollout.worker.collector import Collector
 
@@ -57,12 +60,24 @@ class Layers(nn.Module):
         return self.layers(x)
 
 
+class Keeping(Layers):
+    """Keeps what it has computed, as attention weights are kept to be looked at."""
+
+    def forward(self, x):
+        self.seen = super().forward(x)
+        return self.seen
+
+
+VECTORS = {key: value for key, value in SMALL.items() if "network." not in key} | {"algorithm.precision": "float32"}
+
+
 @pytest.fixture
 def vectors(monkeypatch):
-    """A plug-in with a network for vectors."""
+    """A plug-in with networks for vectors."""
     module = ModuleType("mine")
-    module.Layers = Layers
-    module.plugin = plugins.Plugin(networks={"layers": plugins.PluginNetwork("mine:Layers")})
+    module.Layers, module.Keeping = Layers, Keeping
+    networks = {name.lower(): plugins.PluginNetwork(f"mine:{name}") for name in ("Layers", "Keeping")}
+    module.plugin = plugins.Plugin(networks=networks)
     monkeypatch.setitem(sys.modules, "mine", module)
     plugins.load("mine")
 
@@ -146,9 +161,7 @@ def test_a_run_of_images_continues_bit_equal():
 @pytest.mark.parametrize("algorithm", ["ippo", "mappo"])
 def test_actors_of_vectors_read_observations_as_they_are(vectors, algorithm):
     """The learner's networks read scaled observations, published ones raw ones; both give the same logits."""
-    settings = {**SMALL, "algorithm.network.name": "layers", "algorithm.precision": "float32"}
-    del settings["algorithm.network.channels"], settings["algorithm.network.width"]
-    config = configured(settings, algorithm, "mytask.env:Cover")
+    config = configured(VECTORS | {"algorithm.network.name": "layers"}, algorithm, "mytask.env:Cover")
     assert config.on_policy.normalise_observations
     trainer = make_trainer(config, Collector(config, "0", 0).team)
     for index, chunk in enumerate(collected(config, trainer.actors(), 4)):
@@ -164,6 +177,42 @@ def test_actors_of_vectors_read_observations_as_they_are(vectors, algorithm):
     before = trainer.actors()
     trainer.load_actors(before.flat)
     np.testing.assert_allclose(trainer.actors().flat[0], before.flat[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("algorithm", ["ippo", "mappo"])
+def test_actors_learn_from_the_inputs_that_they_acted_on(vectors, algorithm, monkeypatch):
+    """Ratios of policies are 1 before an iteration's first update, though scales move with every iteration."""
+    config = configured(VECTORS | {"algorithm.network.name": "layers"}, algorithm, "mytask.env:Cover")
+    collector = Collector(config, "0", 0)
+    trainer = make_trainer(config, collector.team)
+    updates, begin, scales = trainer._updates, trainer._updates.begin, [trainer._updates._scales.of_type(0)[1]]
+
+    def begin_and_compare(rows, steps):
+        begin(rows, steps)
+        used = step_rows(rows)
+        newest = updates._newest_log_probability(rows).numpy()
+        np.testing.assert_allclose(newest[used], rows.log_probability[used], atol=1e-4)
+
+    monkeypatch.setattr(updates, "begin", begin_and_compare)
+    for number in range(1, 7):
+        trainer.absorb(collector.collect(trainer.actors(), 0.0, uniform=False), 1, "0", number)
+        if trainer.updates_due():
+            trainer.train(trainer.updates_due())
+            scales.append(updates._scales.of_type(0)[1])
+    assert trainer.iterations == 3
+    assert not any(torch.equal(one, other) for one, other in pairwise(scales))
+
+
+def test_a_module_may_keep_what_it_computes(vectors):
+    """Its parameters are published after each iteration all the same."""
+    run = eia_sec.train(
+        "mytask.env:Cover",
+        plugins=["mytask", "mine"],
+        steps=160,
+        settings=VECTORS | {"algorithm.network.name": "keeping"},
+    )
+    assert run.config.on_policy.normalise_observations
+    assert np.isfinite(run.actors.flat[0]).all()
 
 
 def test_joined_images_have_the_channels_of_all_agents():
@@ -226,3 +275,9 @@ def test_networks_that_cannot_read_are_refused(settings, algorithm, env, said):
     team = Collector(configured(env=env), "0", 0).team
     with pytest.raises(ConfigError, match=said):
         require_networks(config, team)
+
+
+def test_options_that_no_network_can_have_are_refused_before_a_process_starts():
+    """A network without channels has a size, and is made without memory for it; only a call shows what is wrong."""
+    with pytest.raises(PluginError, match=r"plug-in pictures: pictures\.networks\.Cnn.* raised "):
+        environment_spec(configured(SMALL | {"algorithm.network.channels": 0}))
