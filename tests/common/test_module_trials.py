@@ -14,7 +14,7 @@ from eia_sec.common.config import NetworkConfig
 from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS
 from eia_sec.common.errors import PluginError
 from eia_sec.common.module_trials import try_network
-from eia_sec.common.modules import FlatModule
+from eia_sec.common.modules import FlatModule, flat_size
 
 pytestmark = pytest.mark.usefixtures("nothing_stays_loaded")
 
@@ -113,7 +113,9 @@ def test_what_would_act_differently_elsewhere_is_refused(offered, found, said):
 )
 def test_what_acts_alike_everywhere_is_taken(offered, found):
     """A fixed seed, an index among the inputs, a weight computed from parameters, an activation that is kept."""
-    try_network(offered(found), (5,), 4)
+    options = offered(found)
+    try_network(options, (5,), 4)
+    assert flat_size(options, (5,), 4) == len(FlatModule(options, (5,), 4).drawn(1))
 
 
 def test_an_image_is_tried_as_bytes(offered):
