@@ -41,16 +41,16 @@ def try_network(options: NetworkConfig, shape: Shape, outputs: int) -> None:
     network, again = (FlatModule(options, shape, outputs, seed=seed) for seed in range(2))
     _require_equal_buffers(network, again)
     flat = _moved(network)
-    rows, found = _called(network, flat, shape)
+    rows, found = called(network, flat, shape)
     with seeded(3):
         once_more = again(flat, rows)
-    if not _alike(found, once_more):
+    if not alike(found, once_more):
         raise PluginError(
             f"{network.what} returns something else for the same input and parameters when it is made or called anew, "
             "as happens in every worker. Draw what never changes with a torch.Generator of a fixed seed, and keep "
             "nothing from one call to the next."
         )
-    if not _alike(found[:1], network(flat, rows[:1])):
+    if not alike(found[:1], network(flat, rows[:1])):
         raise PluginError(
             f"{network.what} returns something else for an input when others are beside it; workers and the learner "
             "call it with different numbers of inputs, so each output must depend on its own input alone."
@@ -77,10 +77,20 @@ def _moved(network: FlatModule) -> Tensor:
     return flat
 
 
-def _called(network: FlatModule, flat: Tensor, shape: Shape) -> tuple[Tensor, Tensor]:
-    """Return the widest inputs [ROWS, o] that a network takes, and its outputs: any numbers, zeros and ones, or zeros.
+@torch.no_grad()
+def called(network: FlatModule, flat: Tensor, shape: Shape) -> tuple[Tensor, Tensor]:
+    """Return inputs [ROWS, o] and a network's outputs [ROWS, outputs] for them.
 
-    What observations may be is not known here, and a module may use a number as an index.
+    Inputs are any numbers, or zeros and ones, or zeros: the first that the network takes. What observations may be is
+    not known here, and a module may use a number as an index.
+
+    Args:
+        network: the network.
+        flat: [P] its parameters.
+        shape: of one input.
+
+    Raises:
+        PluginError: it takes no zeros.
     """
     draw, size = torch.Generator().manual_seed(2), math.prod(shape)
     image = len(shape) > 1
@@ -96,6 +106,7 @@ def _called(network: FlatModule, flat: Tensor, shape: Shape) -> tuple[Tensor, Te
     return torch.zeros(ROWS, size), network(flat, torch.zeros(ROWS, size))
 
 
-def _alike(one: Tensor, other: Tensor) -> bool:
+def alike(one: Tensor, other: Tensor) -> bool:
+    """Return whether outputs are equal but for rounding."""
     largest = one.nan_to_num(0.0, 0.0, 0.0).abs().amax()
     return torch.allclose(one, other, rtol=TOLERANCE, atol=TOLERANCE * float(largest), equal_nan=True)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from types import ModuleType
 
 import numpy as np
@@ -44,6 +45,52 @@ class Strange(Both):
 
     def forward(self, x):
         return torch.linalg.eigvals(x.T @ x).real.sum() + super().forward(x)
+
+
+class Counted(Both):
+    """Takes the number of inputs as one of Python's."""
+
+    def forward(self, x):
+        return super().forward(x.reshape(len(x), -1))
+
+
+class Branching(Both):
+    """Does one of two things, by what it sees."""
+
+    def forward(self, x):
+        return super().forward(-x if x.sum() > 0 else x)
+
+
+class Fixed(Both):
+    """Has the number of inputs in its graph, though nothing says so when it is traced."""
+
+    def forward(self, x):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return super().forward(x.reshape(len(x), -1))
+
+
+class Attending(Both):
+    """Has layers of torch that compare shapes."""
+
+    def __init__(self, shape, outputs, options):
+        super().__init__(shape, outputs, options)
+        self.attention = nn.MultiheadAttention(2, 1, batch_first=True)
+
+    def forward(self, x):
+        tokens = x.view(x.shape[0], -1, 2)
+        return super().forward((tokens + self.attention(tokens, tokens, tokens)[0]).flatten(1))
+
+
+class Scaling(Both):
+    """Has parameters of names that its input might have."""
+
+    def __init__(self, shape, outputs, options):
+        super().__init__(shape, outputs, options)
+        self.scale = nn.Parameter(torch.full((outputs,), 3.0))
+
+    def forward(self, x):
+        return super().forward(x) * self.scale
 
 
 def actors_of(monkeypatch, found, *groups):
@@ -98,7 +145,7 @@ def test_tensors_have_the_names_of_the_module(monkeypatch, tmp_path):
     tensors = {name: torch.from_numpy(array) for name, array in load_file(tmp_path / "actors.safetensors").items()}
     own = {name.removeprefix("walker-1."): each for name, each in tensors.items() if name.startswith("walker-1.")}
     network = Both((6,), 4, None)
-    scale, shift = own.pop("scale"), own.pop("shift")
+    scale, shift = own.pop("input.scale"), own.pop("input.shift")
     network.load_state_dict(own)
     row = torch.randn(1, 3, 6)
     ((_, _, outputs),) = actors.outputs(row.flatten(1).numpy())
@@ -112,3 +159,35 @@ def test_what_onnx_cannot_say_is_refused(monkeypatch, tmp_path):
         PolicyError, match=r"torch cannot write the network net of the plug-in mine as ONNX \(.*\); --f"
     ):
         export_onnx(tmp_path, CONFIG, actors, {})
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (Counted, r"test_module_export\.py, line \d+ takes numbers or a length out of tensors"),
+        (Branching, r"test_module_export\.py, line \d+ takes numbers or a length out of tensors"),
+        (Fixed, "its graph takes no batch of 1"),
+    ],
+)
+def test_graphs_that_would_do_something_else_are_refused(monkeypatch, tmp_path, found, said):
+    """A vehicle acts on one observation, and a graph is made from two."""
+    actors = actors_of(monkeypatch, found, VECTOR)
+    with pytest.raises(PolicyError, match=rf"cannot write the network net of the plug-in mine as ONNX \(.*{said}"):
+        export_onnx(tmp_path, CONFIG, actors, {})
+
+
+def test_layers_of_torch_that_compare_shapes_are_exported(monkeypatch, tmp_path):
+    """Shapes of one input do not change."""
+    actors = actors_of(monkeypatch, Attending, VECTOR)
+    path = export_onnx(tmp_path, CONFIG, actors, {})[0]
+    row = np.random.default_rng(1).standard_normal((1, actors.team.observation_size)).astype(np.float32)
+    (found,) = onnxruntime.InferenceSession(path).run(["action"], {"observation": row[:, :6].copy()})
+    np.testing.assert_allclose(found[0], actors.act(row)[0, :2], atol=1e-5)
+
+
+def test_a_modules_own_scale_is_not_that_of_its_input(monkeypatch, tmp_path):
+    """Both are in the file."""
+    export_safetensors(tmp_path, CONFIG, actors_of(monkeypatch, Scaling, VECTOR), {})
+    tensors = load_file(tmp_path / "actors.safetensors")
+    np.testing.assert_array_equal(tensors["walker-0.scale"], np.full(4, 3.0, np.float32))
+    np.testing.assert_array_equal(tensors["walker-0.input.scale"], np.linspace(0.5, 2.0, 6, dtype=np.float32))
