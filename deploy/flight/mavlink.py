@@ -32,6 +32,8 @@ AUTOPILOT: Final = 1
 STOP_SECONDS: Final = 2.0
 """Silence of the flight node after which the stream of set-points ends; until then the vehicle is told to hover."""
 HEARTBEAT_SECONDS: Final = 1.0
+COUNT_SECONDS: Final = 1.0
+"""Time between two looks at what was refused."""
 REQUEST_SECONDS: Final = 5.0
 """Time without a position after which it is asked for again."""
 POSITION_RATE: Final = 10.0
@@ -102,6 +104,7 @@ class MavlinkBridge:
         self._wind: tuple[float, ...] = ()
         self._blew = -math.inf
         self._streams = self._go = False
+        self._counts, self._counted = (0, 0, 0, 0), monotonic()
         self.sent = self.frozen = 0
         self.mode, self.armed = "", False
 
@@ -124,10 +127,27 @@ class MavlinkBridge:
         self._stream(now)
         if self._streams:
             self._send(setpoint, now)
+        if now - self._counted >= COUNT_SECONDS:
+            self._counted = now
+            self._count()
 
     def close(self) -> None:
         """Close the connection to the autopilot."""
         self._wire.close()
+
+    def _count(self) -> None:
+        """Log what has been refused since the last time."""
+        counts = self._link.refused, self._link.lapses, self._link.untold, self.frozen
+        refused, lapses, untold, frozen = (new - old for new, old in zip(counts, self._counts, strict=True))
+        self._counts = counts
+        if refused:
+            log(f"{refused} set-points refused; the last: {self._link.complaint}")
+        if lapses:
+            log(f"{lapses} set-points ran out of validity; the vehicle hovered.")
+        if untold:
+            log(f"{untold} reports were replaced by newer ones, because there were too many.")
+        if frozen:
+            log(f"{frozen} positions of the autopilot are not new, or not finite.")
 
     def _stream(self, now: float) -> None:
         """Begin or end the stream of set-points."""

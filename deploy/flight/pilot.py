@@ -39,6 +39,8 @@ YAW: Final = 0.0
 """A vehicle's nose points along the field's x axis, so that its images' sides are along the plots'."""
 CAUSES: Final = ("missing", "late", "doubled", "field", "jump", "height", "sensors", "lost", "policy", "end")
 """Why vehicles hover."""
+BLIND: Final = ("missing", "late", "doubled", "field", "jump")
+"""Those for which nobody knows where a vehicle is."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class Pilot:
         world = field.config.world
         self._speed = np.array([world.speed_x_max, world.speed_y_max])
         self._shares: Float32 = np.full((len(vehicles), 2), np.nan, np.float32)
+        self._stale: set[str] = set()
         self._decision, self._begun, self._listening = 0, 0.0, -1.0
         self._latency: deque[float] = deque(maxlen=KEPT)
         self._age: deque[float] = deque(maxlen=KEPT)
@@ -193,6 +196,8 @@ class Pilot:
         if not self.map.over:
             self._decision = self.map.steps + 1
             self._shares = self._decider.decide(self.map.farm)
+            # In lockstep a decision waits for its vehicle, and nothing moves meanwhile.
+            self._stale = set() if self._options.lockstep else {v.name for v in self._team if v.cause in BLIND}
 
     def _setpoint(self, vehicle: Vehicle, now: float) -> SetpointMessage:
         if not vehicle.reason:
@@ -235,6 +240,8 @@ class Pilot:
             absent = [other.name for other in self._team if other.place is None and not other.lost]
             rest = f" and {len(absent) - 1} others" if len(absent) > 1 else ""
             return "missing", f"the flight begins with the first pose of {absent[0]}{rest}"
+        if vehicle.name in self._stale:
+            return "late", "its pose was not known when the policy decided; it flies the next decision"
         if not np.isfinite(self._shares[vehicle.row]).all():
             return "policy", "the policy's output is not finite"
         return "", ""

@@ -88,7 +88,9 @@ class VehicleLink:
     Attributes:
         refused: set-points that were not obeyed: malformed, old, not on a pose of this link, for another agent, too
             fast, too low, too high, or of another node.
+        complaint: why the last of them was not, or empty.
         lapses: times that a set-point's validity ended before the next one came.
+        untold: reports that more than MOST_RECENT newer ones replaced within RECENT_SECONDS.
         node: the flight node that the vehicle obeys, or empty.
     """
 
@@ -115,8 +117,8 @@ class VehicleLink:
         self._obeyed: SetpointMessage | None = None
         self._decision = 0
         self._rival, self._rivalled = "", -math.inf
-        self.node = ""
-        self.refused = self.lapses = 0
+        self.node = self.complaint = ""
+        self.refused = self.lapses = self.untold = 0
 
     def serve(self, items: Iterable[int]) -> None:
         """Note plots that were photographed, or sensors whose packets were acknowledged, just now.
@@ -125,7 +127,9 @@ class VehicleLink:
             items: numbers of plots, column by column from the field's corner, or of sensors.
         """
         stamp = int(self._clock() * 1e6)
-        self._served.extend((int(item), stamp) for item in items)
+        found = [(int(item), stamp) for item in items]
+        self.untold += max(0, len(self._served) + len(found) - MOST_RECENT)
+        self._served.extend(found)
 
     def publish(self, pose: Pose) -> None:
         """Publish where the vehicle is, and what it has served of late."""
@@ -167,8 +171,8 @@ class VehicleLink:
             try:
                 sender, message = Envelope.decode(sample.attachment), SetpointMessage.decode(sample.payload)
                 self._check(sender, message)
-            except ProtocolError:
-                self.refused += 1
+            except ProtocolError as error:
+                self.refused, self.complaint = self.refused + 1, str(error)
                 continue
             self._heard = self._monotonic()
             told = math.inf if message.hover else self._told[message.stamp]

@@ -352,6 +352,21 @@ def test_latitude_and_longitude_are_told_as_they_are():
     flight.close()
 
 
+def test_what_is_refused_is_logged_once_a_second(flight, capsys):
+    """Set-points that are too fast, with their reason, and positions that stand still; in silence nothing is."""
+    flight.velocity = (3.0, 0.0)
+    flight.pass_time(2.0)
+    assert "refused" not in capsys.readouterr().err
+    flight.velocity = (11.0, 0.0)
+    flight.pass_time(1.0)
+    flight.velocity, flight.autopilot.frozen = (3.0, 0.0), True
+    flight.pass_time(2.0)
+    told = capsys.readouterr().err
+    assert "set-points refused; the last: the set-point is faster than this vehicle may fly." in told
+    assert "ran out of validity; the vehicle hovered." in told
+    assert "positions of the autopilot are not new" in told
+
+
 def test_what_another_system_says_is_ignored():
     """Only the vehicle's own system and its autopilot tell where it is."""
     flight = Flight()

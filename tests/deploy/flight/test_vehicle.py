@@ -7,7 +7,7 @@ import pytest
 
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, PoseMessage, SetpointMessage
-from eia_sec.deploy.flight.vehicle import RECENT_SECONDS, RELEASE_SECONDS, Pose, VehicleLink
+from eia_sec.deploy.flight.vehicle import MOST_RECENT, RECENT_SECONDS, RELEASE_SECONDS, Pose, VehicleLink
 from tests.deploy.flight.air import Air, Clock
 
 RUN, UAV, AGENT = "run", "uav", "monitoring_0"
@@ -226,6 +226,14 @@ def test_poses_tell_again_what_was_served_of_late(both):
     assert both.told().served.tolist() == [5]
     both.wait(1.0)
     assert both.told().served.tolist() == []
+
+
+def test_too_many_reports_lose_the_oldest_and_are_counted(both):
+    """A pose repeats MOST_RECENT of them."""
+    both.link.serve(range(MOST_RECENT - 1))
+    both.link.serve([5000, 5001, 5002])
+    assert both.link.untold == 2
+    assert both.told().served.tolist() == [*range(2, MOST_RECENT - 1), 5000, 5001, 5002]
 
 
 def test_poses_tell_the_decision_that_is_flown(both):
