@@ -106,7 +106,8 @@ def _require_traced(noted: Sequence[warnings.WarningMessage]) -> None:
     """
     own = str(Path(torch.__file__).parent)
     for each in noted:
-        if issubclass(each.category, torch.jit.TracerWarning) and not each.filename.startswith(own):
+        tracer = torch.jit.TracerWarning  # type: ignore[attr-defined]  # torch has it there, but not in its __all__
+        if issubclass(each.category, tracer) and not each.filename.startswith(own):
             where = f"{Path(each.filename).name}, line {each.lineno}"
             raise ValueError(
                 f"{where} takes numbers or a length out of tensors, which a graph would hold as constants; x.shape "
