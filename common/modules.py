@@ -48,7 +48,8 @@ class FlatModule:
         options: the network's options, whose name says which one it is.
         shape: of one input.
         outputs: numbers that it returns.
-        device: torch device of what it holds besides parameters; "meta" for shapes alone.
+        device: torch device of what it holds besides parameters; "meta" for shapes alone, where only lazy layers make
+            a call necessary.
         seed: of whatever the module draws while it is made. Parameters come from outside; anything else that it draws
             is thus the same in every process.
 
@@ -64,7 +65,8 @@ class FlatModule:
         self._options, self._shape, self._outputs = options, shape, outputs
         with seeded(seed):
             self.what, self._module = _made(options, shape, outputs, device)
-            self._tried(device)
+            if device != "meta" or any(map(nn.parameter.is_lazy, self._module.parameters())):
+                self._tried(device)
         named = dict(self._module.named_parameters())
         _require_trainable(self.what, self._module, named)
         self._names = list(named)
@@ -131,7 +133,8 @@ class FlatModule:
             return x.float() * scale + shift
         channels, height, width = self._shape
         image = x[:, : math.prod(self._shape)].view(-1, height, width, channels)
-        return image.permute(0, 3, 1, 2).contiguous().float() / WHITE
+        pixels = image.permute(0, 3, 1, 2).to(torch.float32, memory_format=torch.contiguous_format, copy=True)
+        return pixels.div_(WHITE)
 
     def _result(self, parameters: dict[str, Tensor], x: Tensor) -> Tensor:
         forward = f"{self.what}.forward"
@@ -157,6 +160,8 @@ class FlatModule:
 @lru_cache(maxsize=256)
 def flat_size(options: NetworkConfig, shape: Shape, outputs: int) -> int:
     """Return P, the length of a network's row, without memory for its numbers where its module can do without.
+
+    A module cannot where its constructor reads numbers of tensors, or where it has lazy layers and its call does.
 
     Raises:
         PluginError: see `FlatModule`.
@@ -238,7 +243,8 @@ def _require_trainable(what: str, module: nn.Module, parameters: dict[str, nn.Pa
                 "never changes as a buffer with persistent=False."
             )
     for name, part in module.named_modules():
-        if kept := [each for each in part._buffers if each not in part._non_persistent_buffers_set]:
+        held = [each for each, buffer in part._buffers.items() if buffer is not None]
+        if kept := [each for each in held if each not in part._non_persistent_buffers_set]:
             where = f"{name}.{kept[0]}" if name else kept[0]
             raise PluginError(
                 f"{what}: the buffer {where} would not reach the workers, as only parameters travel. Take GroupNorm or "

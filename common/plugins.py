@@ -17,7 +17,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from importlib.metadata import entry_points
-from typing import Any, Final, Literal, TypeVar, cast, get_args
+from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -333,7 +333,9 @@ def _network_options(plugin: str, name: str, each: PluginNetwork) -> type[Networ
         raise PluginError(f"{what}: its module is named as module:name, not {each.module!r}.")
     if not (each.reads in get_args(Reads) or (each.reads and {*each.reads} <= {*get_args(Reads)})):
         raise PluginError(f"{what} reads {each.reads!r}, and must read {' or '.join(get_args(Reads))}, or both.")
-    return _options(what, name, each.options, NetworkConfig, "NetworkConfig")
+    found = _options(what, name, each.options, NetworkConfig, "NetworkConfig")
+    _require_plain(what, each.options, found)
+    return found
 
 
 def _options(what: str, name: str, options: Any, base: type[Options], wanted: str) -> type[Options]:
@@ -354,6 +356,29 @@ def _options(what: str, name: str, options: Any, base: type[Options], wanted: st
         namespace={"__module__": options.__module__, "__doc__": options.__doc__},
     )
     return cast(type[Options], named)
+
+
+def _require_plain(what: str, options: type[NetworkConfig], found: type[NetworkConfig]) -> None:
+    """Raise PluginError unless options are values of a configuration, which have a hash: networks are kept by them.
+
+    Args:
+        what: what they are of, for errors.
+        options: their class in the plug-in.
+        found: the class with the network's name.
+    """
+    try:
+        hints = get_type_hints(options)
+        hash(found())
+    except Exception as error:  # a user's class may raise anything
+        raise PluginError(f"{what}: its options {options.__qualname__} cannot be used: {error}.") from error
+    for each in fields(options):
+        items = get_args(hints[each.name])
+        lists = get_origin(hints[each.name]) is tuple and {*items} <= {int, float, ...}
+        if not (lists or get_origin(hints[each.name]) is Literal or hints[each.name] in (bool, int, float, str)):
+            raise PluginError(
+                f"{what}: the option {each.name} of {options.__qualname__} is a {each.type}, and must be a bool, int, "
+                "float, str, Literal, or a tuple of ints or floats."
+            )
 
 
 def _has_default(option: Any) -> bool:

@@ -44,7 +44,9 @@ from eia_sec.learner.on_policy.normalisation import Scales
 from eia_sec.learner.registry import on_policy
 
 VALUE_BATCH = 4096
-"""Rows whose values are computed at once."""
+"""Most rows whose values are computed at once."""
+MOST_INPUTS = 2**24
+"""Most numbers that a plug-in's networks read at once for that, 64 MiB; their layers take a multiple of it."""
 EPSILON = 1e-8
 """Added to the deviation that advantages are divided by."""
 ADAM_EPSILON = 1e-5
@@ -214,7 +216,7 @@ class Updates:
         """Return log pi(a | o) [R, agents] of the present actors in the rows from which a step follows."""
         newest = self._rows["log_probability"].clone()
         samples = self.samples(rows)
-        for part in np.array_split(samples, min(len(samples), -(-rows.steps // VALUE_BATCH))):
+        for part in np.array_split(samples, min(len(samples), -(-rows.steps // self._rows_at_once))):
             places, sequences = self._gathered(part)
             actions = enumerate(split_actions(self._team, self._rows["action"][places]))
             tasks = [partial(self._log_probability, kind, places, action, sequences) for kind, action in actions]
@@ -262,8 +264,15 @@ class Updates:
     @torch.no_grad()
     def _values_of(self, kind: int) -> Tensor:
         """Return V of every row for a type's agents, [R, n]."""
-        batches = (torch.split(part, VALUE_BATCH) for part in (self._seen.team, self._seen.own[kind]))
+        batches = (torch.split(part, self._rows_at_once) for part in (self._seen.team, self._seen.own[kind]))
         return torch.cat([self.values[kind].value(team, own) for team, own in zip(*batches, strict=True)])
+
+    @property
+    def _rows_at_once(self) -> int:
+        """Rows that networks go through at once where no gradients are needed."""
+        if self._config.module is None:
+            return VALUE_BATCH
+        return max(1, min(VALUE_BATCH, MOST_INPUTS // self._team.observation_size))
 
     def samples(self, rows: Rows) -> NDArray[np.int64]:
         """Return what minibatches are made of: the rows from which steps follow, or with memory sequences' numbers."""

@@ -78,11 +78,13 @@ class AgentView:
             ContractError: observation or mask do not fit the agent's spaces, or a number is not finite or larger than
                 LARGEST. The sentence goes on from "NAME: METHOD returned", see `Guard.returned`.
         """
-        if self.image:
-            self._require_bytes(name, seen)
         try:
+            if self.image:
+                self._require_bytes(name, seen)
             with np.errstate(over="ignore", invalid="ignore"):
                 flat: Numbers = np.asarray(spaces.flatten(self.space, seen), self._kind).reshape(-1)
+        except ContractError:
+            raise
         except Exception as error:  # parts of a user's observation may raise anything
             raise _misfit(name, seen, self.space, f": {error!r}") from error
         if flat.shape != (self.size - sum(self.choices),):
@@ -100,7 +102,7 @@ class AgentView:
 
     def _require_bytes(self, name: Any, seen: Any) -> None:
         """Raise ContractError unless an image holds bytes, which flattening would make of anything."""
-        held = seen if isinstance(self.space, spaces.Box) else next(v for k, v in seen.items() if k != MASK)
+        held = seen[next(iter(self.space.spaces))] if isinstance(self.space, spaces.Dict) else seen
         if getattr(held, "dtype", None) != np.uint8:
             raise _misfit(name, held, self.space, f", of {getattr(held, 'dtype', type(held).__name__)} and not uint8")
 

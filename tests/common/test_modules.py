@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 
 import numpy as np
@@ -14,10 +14,11 @@ from safetensors.numpy import load_file, save_file
 from torch import nn
 
 from eia_sec.common import plugins
-from eia_sec.common.actors import TeamActors, actor_outputs, actor_parameters
+from eia_sec.common.actors import TeamActors, actor_outputs
 from eia_sec.common.config import NetworkConfig
 from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS
 from eia_sec.common.errors import PluginError, PolicyError, SchemaError
+from eia_sec.common.module_trials import try_network
 from eia_sec.common.modules import FlatModule, flat_size, outputs_of
 from eia_sec.common.policy_file import load_policy, save_policy
 from eia_sec.common.policy_store import PolicyStore
@@ -29,6 +30,22 @@ pytestmark = pytest.mark.usefixtures("nothing_stays_loaded")
 PICTURES = TeamSpec((GroupSpec("seer", 2, 4 * 5 * 3 + 3, 1, choices=(3,), masked=True, image=(4, 5, 3)),))
 """Agents that see an image of four by five places with three channels, and a mask behind it."""
 VECTORS = TeamSpec((GroupSpec("walker", 3, 5, 2),))
+
+
+@dataclass(frozen=True)
+class Lists(NetworkConfig):
+    """Options whose value is a list."""
+
+    widths: list[int] = field(default_factory=lambda: [1])
+    """Units."""
+
+
+@dataclass(frozen=True)
+class Table(NetworkConfig):
+    """Options of a type that no configuration has."""
+
+    widths: complex = 1j
+    """Units."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +151,46 @@ def test_a_size_takes_no_memory(monkeypatch):
     assert flat_size(options, (5,), 4) > 10**10
 
 
+def test_a_size_needs_no_call(monkeypatch):
+    """A call that reads numbers of its input works in memory alone, which forged options could ask too much of."""
+    options = replace(offered(monkeypatch), width=10**9)
+
+    class Careful(nn.Module):
+        def __init__(self, shape, outputs, options):
+            super().__init__()
+            self.layers = nn.Sequential(nn.Linear(*shape, options.width), nn.Linear(options.width, outputs))
+
+        def forward(self, x):
+            if not torch.isfinite(x).all():
+                raise ValueError
+            return self.layers(x)
+
+    sys.modules["mine"].Net = Careful
+    assert flat_size(options, (5,), 4) == 10 + 10**9 * 10 + 4
+
+
+def test_a_buffer_that_is_none_holds_nothing(monkeypatch):
+    """Instance normalisation has two such buffers."""
+
+    class Normalising(nn.Module):
+        def __init__(self, shape, outputs, options):
+            super().__init__()
+            self.layers = nn.Sequential(nn.InstanceNorm2d(shape[0]), nn.Flatten(), nn.LazyLinear(outputs))
+
+        def forward(self, x):
+            return self.layers(x)
+
+    try_network(offered(monkeypatch, Normalising, "image"), (3, 4, 5), 4)
+
+
+def test_an_image_of_numbers_stays_as_it_is(monkeypatch):
+    """Rows of a team where others see vectors are numbers; scaling pixels does not change them."""
+    network = FlatModule(offered(monkeypatch, reads="image"), (1, 4, 5), 2)
+    rows = torch.full((3, 20), 51.0)
+    assert torch.equal(network.inputs([], rows), torch.full((3, 1, 4, 5), 0.2))
+    assert torch.equal(rows, torch.full((3, 20), 51.0))
+
+
 def made(forward=None, *, layer=None, **members):
     """Return a class of a module with a layer."""
 
@@ -179,7 +236,7 @@ def test_a_network_that_cannot_be_used_is_named(monkeypatch, found, said):
     """The sentence names plug-in, class and method, what came and what was expected."""
     options = offered(monkeypatch, found)
     with pytest.raises(PluginError, match=f"plug-in mine: .*{said}"):
-        actor_parameters(VECTORS.groups[0], 1, "gaussian", module=options)
+        try_network(options, (5,), 4)
 
 
 @pytest.mark.parametrize(
@@ -190,6 +247,8 @@ def test_a_network_that_cannot_be_used_is_named(monkeypatch, found, said):
         (plugins.PluginNetwork("mine:Net", reads="sound"), "reads 'sound', and must read vector or image, or both"),
         (plugins.PluginNetwork("mine:Net", reads=()), "reads .., and must read"),
         (plugins.PluginNetwork("mine:Net", int), "its options are a type, and must be a dataclass derived from Netw"),
+        (plugins.PluginNetwork("mine:Net", Lists), "its options Lists cannot be used: unhashable type: 'list'"),
+        (plugins.PluginNetwork("mine:Net", Table), "the option widths of Table is a <class 'complex'>, and must be a"),
     ],
 )
 def test_a_network_that_cannot_be_offered_is_named(monkeypatch, network, said):

@@ -19,6 +19,7 @@ from eia_sec.common.protocol.chunk_messages import to_message
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.message_sizes import chunk_bytes
 from eia_sec.common.protocol.messages import ChunkMessage
+from eia_sec.learner.on_policy import updates as on_policy_updates
 from eia_sec.learner.on_policy.experience import step_rows
 from eia_sec.learner.on_policy.mappo import joined_images
 from eia_sec.learner.trainers import make_trainer
@@ -201,6 +202,22 @@ def test_actors_learn_from_the_inputs_that_they_acted_on(vectors, algorithm, mon
             scales.append(updates._scales.of_type(0)[1])
     assert trainer.iterations == 3
     assert not any(torch.equal(one, other) for one, other in pairwise(scales))
+
+
+def test_few_rows_of_large_images_are_read_at_once(monkeypatch):
+    """Values are the same whatever the number of rows, which images of eight agents would else make gigabytes of."""
+    config = configured(SMALL | {"algorithm.precision": "float32"})
+    collector, most = Collector(config, "0", 0), []
+    trainer = make_trainer(config, collector.team)
+    trainer.absorb(collector.collect(trainer.actors(), 0.0, uniform=False), 1, "0", 1)
+    updates, value = trainer._updates, trainer._updates.values[0].value
+    monkeypatch.setattr(updates.values[0], "value", lambda team, own: most.append(len(own)) or value(team, own))
+    updates._load(trainer.experience.rows())
+    whole = updates._values_of(0)
+    monkeypatch.setattr(on_policy_updates, "MOST_INPUTS", 7 * 2 * 6 * 6 * 3)
+    parts = updates._values_of(0)
+    assert (most[0], max(most[1:])) == (len(whole), 7)
+    torch.testing.assert_close(parts, whole)
 
 
 def test_a_module_may_keep_what_it_computes(vectors):

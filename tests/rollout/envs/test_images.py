@@ -53,6 +53,14 @@ def test_other_numbers_than_bytes_are_refused(wrong):
         view_of(IMAGE).numbers("a", wrong, {})
 
 
+@pytest.mark.parametrize("wrong", [np.zeros((2, 3, 4), np.uint8), {}, None])
+def test_an_image_without_its_dict_is_refused(wrong):
+    """Whatever comes in place of the image and its mask."""
+    view = view_of(spaces.Dict({"observation": IMAGE, "action_mask": spaces.MultiBinary(5)}))
+    with pytest.raises(ContractError, match="PettingZoo asks for one in its observation_space"):
+        view.numbers("a", wrong, {})
+
+
 def test_a_batch_of_images_holds_bytes():
     """The team says how large they are; its description survives a file, and teams without images have the old one."""
     batch = PettingZooBatch(EnvConfig("pictures.env:Lights"), 3, boxes=False)
