@@ -187,15 +187,24 @@ class Network:
         draw, weather = self.world.draw, self.weather
         return draw.expovariate(1.0 / weather.delay) + (draw.uniform(0.5, 8.0) if draw.random() < weather.late else 0.0)
 
-    def carry(self, one: Process, other: Process, arrive: Callable[[], None]) -> bool:
-        """Send a message; return whether it gets anywhere. It must find both ends linked when it arrives, too."""
+    def carry(
+        self, one: Process, other: Process, arrive: Callable[[], None], dropped: Callable[[], None] = lambda: None
+    ) -> bool:
+        """Send a message; return whether it gets anywhere. It must find both ends linked when it arrives, too.
+
+        Args:
+            one: who sends it.
+            other: who gets it.
+            arrive: what happens then.
+            dropped: what happens where the machines were cut off from each other while it was under way.
+        """
         draw, weather = self.world.draw, self.weather
 
         def arrived() -> None:
             if other.frozen_until > self.world.now:
                 self.world.after(other.frozen_until - self.world.now + self.delay(), arrived)
-            elif other.alive and not self.apart(one, other):
-                arrive()
+            elif other.alive:
+                (dropped if self.apart(one, other) else arrive)()
 
         if not self.linked(one, other) or draw.random() < weather.lost:
             return False
@@ -252,8 +261,12 @@ class Network:
             if publisher.count == number and publisher.process.alive and subscription.process.alive:
                 self.publish(publisher, subscription)
 
-        if not self.carry(publisher.process, subscription.process, arrive) and publisher.state:
-            self.world.after(REPEAT_SECONDS, repeat)
+        def lost() -> None:
+            if publisher.state:
+                self.world.after(REPEAT_SECONDS, repeat)
+
+        if not self.carry(publisher.process, subscription.process, arrive, lost):
+            lost()
 
     def _tell(self, key: str, *, present: bool, to: Subscription | None = None) -> None:
         for watch in self.watches if to is None else [to]:

@@ -58,6 +58,8 @@ REPORT_SECONDS = 2.0
 WORKERS = 3
 BAD_MACHINES = 0.1
 """Share of the seeds in which machines crash often, and come back with another clock and a damaged checkpoint."""
+SILENT_SECONDS = 10.0
+"""Silence of a learner after which another one with a lower epoch may be followed."""
 BAD_ENDS = 0.05
 """Share of the seeds whose learner is killed while it writes its last checkpoint."""
 HARMLESS = (
@@ -363,8 +365,11 @@ class Simulation:
         self.world.note(f"{process.name} stands still for {seconds} s")
 
     def _cut(self) -> None:
-        node = self.draw.choice(sorted(self.processes))
-        self.network.partition(node, self.draw.choice((0.5, 2.0, 8.0, 15.0)))
+        node, seconds = self.draw.choice(sorted(self.processes)), self.draw.choice((0.5, 2.0, 8.0, 15.0))
+        self.network.partition(node, seconds)
+        if seconds > SILENT_SECONDS:
+            for process in self.processes.values():
+                process.parts["may_follow_lower"] = True
 
     def _separate(self) -> None:
         nodes = sorted({process.node for process in self._living()})
