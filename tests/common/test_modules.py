@@ -180,7 +180,9 @@ def test_a_buffer_that_is_none_holds_nothing(monkeypatch):
         def forward(self, x):
             return self.layers(x)
 
-    try_network(offered(monkeypatch, Normalising, "image"), (3, 4, 5), 4)
+    options = offered(monkeypatch, Normalising, "image")
+    try_network(options, (3, 4, 5), 4)
+    assert flat_size(options, (3, 4, 5), 4) == 3 * 4 * 5 * 4 + 4
 
 
 def test_an_image_of_numbers_stays_as_it_is(monkeypatch):
