@@ -174,7 +174,8 @@ def _container(fleet: FleetSpec, places: Places, process: Process, mounts: list[
     pod_name = {"name": "POD_NAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
     variables: list[Object] = [pod_name] if process.name == _POD else []
     variables += [{"name": key, "value": value} for key, value in environment(process).items()]
-    resources: Object = {"requests": {"cpu": "500m", "memory": "1Gi"}}
+    learners = fleet.learner.learners if process.role == "learner" else 1
+    resources: Object = {"requests": {"cpu": f"{500 * learners}m", "memory": f"{learners}Gi"}}
     if process.role == "learner" and fleet.learner.gpus:
         resources["limits"] = {"nvidia.com/gpu": fleet.learner.gpus}
     container: Object = {

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,13 +15,12 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import GroupError
 from eia_sec.common.log import name_process
 from eia_sec.common.team import TeamSpec
+from eia_sec.deploy.exit_codes import GROUP
 from eia_sec.deploy.local.code_options import plugin_options
-from eia_sec.deploy.local.learners import STORE, Place
+from eia_sec.deploy.local.learners import LEADER, STORE, Place, meet_on_loopback
 from eia_sec.learner.group.following import follow, introduce
 from eia_sec.learner.group.process_group import Order, ProcessGroup
 
-INTERFACE: Final = "GLOO_SOCKET_IFNAME"
-"""Environment variable by which gloo chooses its network interface."""
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 END_SECONDS: Final = 5.0
 """Time that followers have to end by themselves."""
@@ -50,11 +48,11 @@ def leading(place: Place, config: RunConfig, team: TeamSpec) -> Iterator[Process
     with tempfile.TemporaryDirectory(prefix="eia-sec-learners-") as folder:
         try:
             store = None if place.by_torchrun else Path(folder, "store")
+            meet_on_loopback(place)
             if store is not None:
-                os.environ[INTERFACE] = _loopback()
                 with _signals_blocked():
                     followers = [_follower(rank, place.size, store, config) for rank in range(1, place.size)]
-            group = ProcessGroup(0, place.size, store, lambda: _ended(followers, place.size))
+            group = ProcessGroup(0, place.size, store, lambda: _ended(followers, place.size, first=True))
             introduce(group, config, team)
             yield group
             with suppress(GroupError):  # the run is over, whoever has gone meanwhile
@@ -68,13 +66,18 @@ def leading(place: Place, config: RunConfig, team: TeamSpec) -> Iterator[Process
 
 
 def following(place: Place) -> None:
-    """Follow the group's leader until the run ends; signals are the leader's business."""
+    """Follow the group's leader until the run ends; once the group has met, signals are the leader's business."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)  # torch waits for the others without a look at Python's handlers
+    name_process("learner", f"learner-{place.rank}")
+    meet_on_loopback(place)
+    group = ProcessGroup(place.rank, place.size, place.store, lambda: _orphaned(place))
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    name_process("learner", f"learner-{place.rank}")
-    group = ProcessGroup(place.rank, place.size, place.store)
-    follow(group)
-    group.close()
+    try:
+        follow(group)
+    finally:
+        group.close()  # else torch's threads may abort the process, which would look like the cause of the group's end
 
 
 @contextmanager
@@ -90,22 +93,28 @@ def _signals_blocked() -> Iterator[None]:
 def _follower(rank: int, size: int, store: Path, config: RunConfig) -> "subprocess.Popen[bytes]":
     """Start a follower in this process's group, so that a supervisor that ends this process ends it as well."""
     command = [sys.executable, "-P", "-m", "eia_sec.deploy.cli", "learner", *plugin_options(config)]
-    places = {STORE: str(store), "RANK": str(rank), "WORLD_SIZE": str(size)}
+    places = {STORE: str(store), LEADER: str(os.getpid()), "RANK": str(rank), "WORLD_SIZE": str(size)}
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, env={**os.environ, **places})
 
 
-def _loopback() -> str:
-    """Return the name of the loopback interface."""
-    names = [name for _, name in socket.if_nameindex()]
-    return next((name for name in names if name in ("lo", "lo0")), "lo")
+def _orphaned(place: Place) -> str:
+    """Return a sentence about a leader that has ended, or an empty string."""
+    return "the leader has ended." if place.leader and os.getppid() != place.leader else ""
 
 
-def _ended(followers: Sequence["subprocess.Popen[bytes]"], size: int) -> str:
-    """Return a sentence about a follower that has ended, or an empty string."""
-    for rank, process in enumerate(followers, 1):
-        if (code := process.poll()) is not None:
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            return f"learner {rank} of {size} ended with {how}, and the group with it."
+def _ended(followers: Sequence["subprocess.Popen[bytes]"], size: int, *, first: bool = False) -> str:
+    """Return a sentence about a follower that has ended, or an empty string.
+
+    Args:
+        followers: their processes.
+        size: N.
+        first: whether to name one as well that another one's end, or the leader's word, has made end.
+    """
+    codes = {rank: code for rank, process in enumerate(followers, 1) if (code := process.poll()) is not None}
+    causes = {rank: code for rank, code in codes.items() if code != GROUP} or (codes if first else {})
+    for rank, code in causes.items():
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        return f"learner {rank} of {size} ended with {how}, and the group with it."
     return ""
 
 

@@ -2,6 +2,7 @@
 
 import ipaddress
 import os
+import socket
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,6 +16,10 @@ BLOCKS: Final = 2
 """Least samples that each learner has of a minibatch, for each member of an ensemble."""
 STORE: Final = "EIA_SEC_LEARNERS"
 """Environment variable with the file through which the learners of one machine find each other."""
+LEADER: Final = "EIA_SEC_LEADER"
+"""Environment variable with the number of the process that has started this learner to follow it."""
+INTERFACE: Final = "GLOO_SOCKET_IFNAME"
+"""Environment variable by which gloo chooses its network interface."""
 TORCHRUN: Final = ("RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
 """Environment variables that torchrun sets for each process."""
 
@@ -27,12 +32,14 @@ class Place:
         rank: its number, from 0.
         size: how many learners there are.
         store: see STORE; None for the leader, and where torchrun has started them.
-        by_torchrun: whether it has.
+        leader: number of the process that started this learner to follow it, or 0.
+        by_torchrun: whether torchrun has.
     """
 
     rank: int
     size: int
     store: Path | None = None
+    leader: int = 0
     by_torchrun: bool = False
 
 
@@ -49,11 +56,14 @@ def given_place() -> Place | None:
     rank, size = (found.get(name, "") for name in TORCHRUN[:2])
     if not (rank.isdecimal() and size.isdecimal() and int(rank) < int(size) <= MOST_LEARNERS):
         raise ConfigError(f"RANK={rank} and WORLD_SIZE={size} name no learner of a group of at most {MOST_LEARNERS}.")
-    return Place(int(rank), int(size), None if store is None else Path(store), by_torchrun=store is None)
+    if store is None:
+        return Place(int(rank), int(size), by_torchrun=True)
+    leader = os.environ.get(LEADER, "")
+    return Place(int(rank), int(size), Path(store), int(leader) if leader.isdecimal() else 0)
 
 
-def leaders_place(learners: int, *, insecure: bool) -> Place:
-    """Return the place of a process that leads, as many learners as it was told or as torchrun has started.
+def chosen_place(learners: int, *, insecure: bool) -> Place:
+    """Return the place that torchrun has given this process, or that of a leader of as many learners as it was told.
 
     Args:
         learners: `--learners`.
@@ -76,6 +86,22 @@ def leaders_place(learners: int, *, insecure: bool) -> Place:
             "authentication or encryption; on a network of your own, allow it with --insecure."
         )
     return place
+
+
+def refuse_torchrun(command: str) -> None:
+    """Raise UsageError where torchrun has started several processes of a command that is no learner."""
+    place = given_place()
+    if place is not None and place.size > 1:
+        raise UsageError(
+            f"torchrun starts several eia-sec learner, not eia-sec {command}; give {command} --learners N."
+        )
+
+
+def meet_on_loopback(place: Place) -> None:
+    """Let a group that meets on this machine listen on the loopback interface only, whatever the host's name means."""
+    if not place.by_torchrun or _is_loopback(os.environ.get("MASTER_ADDR", "")):
+        names = [name for _, name in socket.if_nameindex()]
+        os.environ[INTERFACE] = next((name for name in names if name in ("lo", "lo0")), "lo")
 
 
 def require_learners(config: RunConfig, learners: int, *, lockstep: bool) -> None:

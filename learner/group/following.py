@@ -43,10 +43,17 @@ def follow(group: ProcessGroup) -> None:
     config, team = read_saved(told.toml), TeamSpec.from_dict(told.team)
     torch.set_num_threads(config.learner.threads)
     updates = FollowingUpdates(config.on_policy, team, config.seed, config.learner, group)
+    updates.most_rows = _most_rows(config)
     log(f"learner {group.rank} of {group.size} follows.")
     with flushed_denormals():
         while (ordered := group.next_order()).order is not Order.END:
             updates = _obey(updates, ordered)
+
+
+def _most_rows(config: RunConfig) -> int:
+    """Return a bound of an iteration's rows: two of each step, whose episode may end, and a chunk too many."""
+    chunk = config.rollout.environments * config.rollout.chunk_steps
+    return 2 * (config.on_policy.iteration_steps + chunk)
 
 
 def _obey(updates: FollowingUpdates, ordered: Ordered) -> FollowingUpdates:

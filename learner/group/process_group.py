@@ -5,6 +5,9 @@ exchanges are collective or between rank 0 and one other, and all processes make
 A member that dies closes its connections, so that the next exchange of every other one fails.
 """
 
+import hashlib
+import hmac
+import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,16 +20,21 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 from torch._C._distributed_c10d import FileStore, Store  # torch.distributed exports them without saying so
+from torch.distributed.distributed_c10d import _set_pg_timeout
 
 from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import GroupError
 from eia_sec.common.log import log
 
 SILENT_SECONDS: Final = 120.0
-"""Longest wait for another member; a leader that has no other order sends one each second."""
+"""The leader's longest wait for another member, in an exchange; without another order it gives one each second."""
+LEADER_SECONDS: Final = 86_400.0
+"""A follower's longest wait for another member. A leader may load, save or call plug-ins that long between two orders;
+one that dies closes its connections."""
 JOIN_SECONDS: Final = 120.0
 """Longest wait until all members have joined."""
 LOOK_SECONDS: Final = 0.05
+SECRET: Final = "secret"
 NUMBERS: Final = 2
 """Numbers that come with an order, besides one for each learner."""
 SAID: Final = 240
@@ -79,8 +87,18 @@ class ProcessGroup:
                 dist.init_process_group("gloo", init_method="env://", timeout=timeout)
             else:
                 met = FileStore(str(store), size)
+                if self.leads:
+                    met.set(SECRET, secrets.token_hex(32))
                 self._meet(met, lost)
                 dist.init_process_group("gloo", store=met, rank=rank, world_size=size, timeout=timeout)
+                try:
+                    self._require_members(met.get(SECRET))
+                except (GroupError, RuntimeError):
+                    self.close()
+                    raise
+            if not self.leads:
+                # The only way to set it after joining; the time to join is another.
+                _set_pg_timeout(timedelta(seconds=LEADER_SECONDS))
 
     def _meet(self, store: Store, lost: Callable[[], str]) -> None:
         store.set(f"here/{self.rank}", "")
@@ -91,6 +109,23 @@ class ProcessGroup:
             if monotonic() > until:
                 raise GroupError(f"the {self.size} learners of this group have not met within {JOIN_SECONDS:.0f} s.")
             time.sleep(LOOK_SECONDS)
+
+    def _require_members(self, secret: bytes) -> None:
+        """Raise GroupError unless the other end of each connection knows what the store holds.
+
+        gloo takes whoever connects to its ports, and so could any user of this machine; the store is this user's alone.
+        """
+        others = [rank for rank in range(self.size) if rank != self.rank]
+        sent = [_proof(secret, self.rank, other) for other in others]
+        got = [torch.zeros_like(proof) for proof in sent]
+        under_way = [dist.isend(proof, other) for proof, other in zip(sent, others, strict=True)]
+        for proof, other in zip(got, others, strict=True):
+            dist.recv(proof, other)
+            if not hmac.compare_digest(proof.numpy().tobytes(), _proof(secret, other, self.rank).numpy().tobytes()):
+                raise GroupError(f"what connected as learner {other} of {self.size} is not of this group.")
+        for work in under_way:
+            assert work is not None
+            work.wait()
 
     @property
     def leads(self) -> bool:
@@ -108,6 +143,8 @@ class ProcessGroup:
         head = torch.zeros(1 + NUMBERS + self.size, dtype=torch.float64)
         self.broadcast([head])
         try:
+            if not bool(torch.isfinite(head).all()):
+                raise ValueError
             return Ordered(Order(int(head[0])), tuple(head[1:].tolist()))
         except ValueError as error:
             raise GroupError(f"learner {self.rank} of {self.size} got an order that it does not know.") from error
@@ -187,3 +224,9 @@ class ProcessGroup:
             ) from error
         finally:
             self.seconds += monotonic() - started
+
+
+def _proof(secret: bytes, sender: int, receiver: int) -> Tensor:
+    """Return what one member shows another, which serves nobody to show it to a third."""
+    digest = hmac.new(secret, f"{sender} to {receiver}".encode(), hashlib.sha256).digest()
+    return torch.frombuffer(bytearray(digest), dtype=torch.uint8)

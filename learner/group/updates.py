@@ -32,7 +32,6 @@ ACTORS, VALUES = ("actor_loss", "entropy", "kl", "clipped_share"), ("value_loss"
 """What an update measures of a type, besides norms of gradients."""
 LEARNT: Final = (*COMPUTED, "log_probability")
 """What followers get of their rows before the first minibatch."""
-MOST_ROWS: Final = 10**9
 
 
 class GroupUpdates(Updates):
@@ -188,7 +187,13 @@ class LeadingUpdates(GroupUpdates):
 
 
 class FollowingUpdates(GroupUpdates):
-    """A follower's updates: what the leader orders."""
+    """A follower's updates: what the leader orders.
+
+    Attributes:
+        most_rows: most rows that an iteration has.
+    """
+
+    most_rows = 0
 
     @property
     def separate(self) -> bool:
@@ -199,6 +204,7 @@ class FollowingUpdates(GroupUpdates):
         """Return the updates of separate networks."""
         found = self.separated()
         assert isinstance(found, FollowingUpdates)
+        found.most_rows = self.most_rows
         return found
 
     def take_rows(self) -> None:
@@ -206,7 +212,7 @@ class FollowingUpdates(GroupUpdates):
         self._group.broadcast(self._state())
         size = torch.zeros(1, dtype=torch.int64)
         self._group.receive([size])
-        count = self._checked(int(size), MOST_ROWS)
+        count = self._checked(int(size), self.most_rows)
         team = self._team
         kind = observation_type(team, rounded=self._config.bfloat16_observations)
         self._part = Rows(

@@ -281,7 +281,7 @@ class Learner:
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(monotonic())
-        if self._group is not None:
+        if self._group is not None and self._state == "training":  # afterwards nothing more is learned
             self._group.order(Order.NOTHING)
         self._storage.require_same_directory()
         self._membership.update()

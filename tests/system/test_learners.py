@@ -97,7 +97,8 @@ def test_learners_that_torchrun_starts(tmp_path):
     ours = [sys.executable, "-m", "eia_sec.deploy.cli"]
     learner = [*ours, "learner", "--run", RUN, "--listen", where, "--preset", PRESET, "--run-dir", str(run_dir)]
     learner += ["--config", str(tmp_path / "wanted.toml")]
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "--no-python"]
+    met = ["--master-addr", "127.0.0.1", "--master-port", str(free_endpoint().port)]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", *met, "--nproc-per-node", "2", "--no-python"]
     worker = [*ours, "rollout", "--run", RUN, "--connect", where, "--name", "0", "--patience", str(PATIENCE)]
     with subprocess.Popen([*torchrun, "--", *learner]) as group, subprocess.Popen(worker) as flying:
         try:

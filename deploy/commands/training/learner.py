@@ -18,7 +18,7 @@ from eia_sec.common.names import check_name
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.learner_group import following, leading
-from eia_sec.deploy.local.learners import given_place, leaders_place, require_learners
+from eia_sec.deploy.local.learners import chosen_place, given_place, require_learners
 from eia_sec.deploy.local.local_runs import LocalRun, listed
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.local.served_environments import tried_spec
@@ -76,14 +76,17 @@ class LearnerArguments:
 def command(arguments: Sequence[str]) -> int:
     """Run the learner, or follow another one, until the run ends; return 0."""
     given = given_place()
-    if given is not None and given.rank:
+    if given is not None and given.leader:
         following(given)
         return 0
     defaults = LearnerArguments(settings=base_configuration(arguments))
     options = parse(LearnerArguments, arguments, "learner", defaults)
     within(0.0, 1e9, patience=options.patience)
-    place = leaders_place(options.learners, insecure=options.insecure)
+    place = chosen_place(options.learners, insecure=options.insecure)
     require_learners(options.settings, place.size, lockstep=options.lockstep)
+    if place.rank:
+        following(place)
+        return 0
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
     resume = options.resume

@@ -25,7 +25,7 @@ from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.environment_trial import tried
-from eia_sec.deploy.local.learners import require_learners
+from eia_sec.deploy.local.learners import refuse_torchrun, require_learners
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -87,10 +87,7 @@ class TrainArguments:
 def command(arguments: Sequence[str]) -> int:
     """Train; return 0 when the run finished or the user stopped it, 1 when it failed."""
     options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
-    if options.lockstep and options.resume:
-        raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
-    if options.resume and options.run_dir is None:
-        raise UsageError("--resume needs --run-dir.")
+    _require_possible(options)
     workers = worker_count(options)
     require_learners(options.settings, options.learners, lockstep=options.lockstep)
     endpoint = _endpoint(options, workers)
@@ -151,6 +148,15 @@ def command(arguments: Sequence[str]) -> int:
         where = f" --endpoint {endpoint}{own}" if served else ""
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
     return 0
+
+
+def _require_possible(options: TrainArguments) -> None:
+    """Raise ConfigError or UsageError for options that exclude each other, or several processes of torchrun."""
+    refuse_torchrun("train")
+    if options.lockstep and options.resume:
+        raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
+    if options.resume and options.run_dir is None:
+        raise UsageError("--resume needs --run-dir.")
 
 
 def _start(options: TrainArguments, team: TeamSpec) -> StartParameters:

@@ -407,3 +407,11 @@ def test_an_image_is_a_name_and_nothing_more(fleet, image):
     fleet.path.write_text(text)
     with pytest.raises(ConfigError, match=r"containers\.image"):
         read(fleet.path)
+
+
+def test_several_learners_request_what_they_need(fleet, tmp_path):
+    """A pod with two learners asks for twice the processors and memory of one."""
+    render(replace(fleet, learner=replace(fleet.learner, learners=2)), "kubernetes", tmp_path / "out")
+    sets = [found for found in manifests(tmp_path / "out") if found["kind"] == "StatefulSet"]
+    (container,) = sets[0]["spec"]["template"]["spec"]["containers"]
+    assert container["resources"]["requests"] == {"cpu": "1000m", "memory": "2Gi"}

@@ -1,11 +1,25 @@
 """Where a run cannot have several learners, and how torchrun's variables are read."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from eia_sec.common.config.files import with_values
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, UsageError
-from eia_sec.deploy.local.learners import Place, given_place, leaders_place, require_learners
+from eia_sec.deploy.commands.training import learner, train
+from eia_sec.deploy.local.learners import (
+    INTERFACE,
+    LEADER,
+    STORE,
+    Place,
+    chosen_place,
+    given_place,
+    meet_on_loopback,
+    require_learners,
+)
 
 DEFAULT = preset("default")
 VARIABLES = {"RANK": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "192.0.2.1", "MASTER_PORT": "29500"}
@@ -13,7 +27,7 @@ VARIABLES = {"RANK": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "192.0.2.1", "MASTER
 
 @pytest.fixture(autouse=True)
 def _no_variables(monkeypatch):
-    for name in VARIABLES:
+    for name in (*VARIABLES, INTERFACE):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -44,23 +58,75 @@ def test_accepted(config, learners, lockstep):
 def test_a_leader_of_this_machine():
     """Without torchrun's variables a process leads as many as it was told."""
     assert given_place() is None
-    assert leaders_place(3, insecure=False) == Place(0, 3)
+    assert chosen_place(3, insecure=False) == Place(0, 3)
 
 
 def test_a_learner_of_torchrun(monkeypatch):
     """With them it has the place that they say."""
-    for name, value in VARIABLES.items():
-        monkeypatch.setenv(name, value)
+    started(monkeypatch)
     assert given_place() == Place(1, 2, by_torchrun=True)
     monkeypatch.setenv("RANK", "0")
     place = Place(0, 2, by_torchrun=True)
     with pytest.raises(UsageError, match="without authentication or encryption"):
-        leaders_place(1, insecure=False)
-    assert leaders_place(1, insecure=True) == place
+        chosen_place(1, insecure=False)
+    assert chosen_place(1, insecure=True) == place
     monkeypatch.setenv("MASTER_ADDR", "localhost")
-    assert leaders_place(1, insecure=False) == place
+    assert chosen_place(1, insecure=False) == place
     with pytest.raises(UsageError, match="leave --learners out"):
-        leaders_place(2, insecure=False)
+        chosen_place(2, insecure=False)
+
+
+def test_a_learner_of_torchrun_is_refused_what_the_leader_is(monkeypatch):
+    """A mistake in the command is said by each learner, before it waits for others."""
+    started(monkeypatch)
+    monkeypatch.setattr(learner, "following", lambda _: pytest.fail("it follows"))
+    with pytest.raises(UsageError, match="nonsense"):
+        learner.command(["--nonsense", "7"])
+    with pytest.raises(UsageError, match="with --insecure"):
+        learner.command([])
+    with pytest.raises(ConfigError, match="learns from a replay buffer"):
+        learner.command(["--insecure", "--preset", "eia-sec"])
+
+
+def test_torchrun_starts_learners_only(monkeypatch, tmp_path):
+    """Several `eia-sec train` would be several runs in one folder."""
+    started(monkeypatch)
+    with pytest.raises(UsageError, match=r"not eia-sec train; give train --learners N\.$"):
+        train.command(["--run-dir", str(tmp_path / "run")])
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "host", "near"),
+    [
+        (Place(0, 2), "", True),
+        (Place(1, 2, by_torchrun=True), "127.0.0.1", True),
+        (Place(0, 2, by_torchrun=True), "localhost", True),
+        (Place(0, 2, by_torchrun=True), "192.0.2.1", False),
+    ],
+)
+def test_learners_that_meet_on_this_machine_listen_on_loopback(monkeypatch, place, host, near):
+    """Gloo would listen where the host's name points, which may be a network."""
+    monkeypatch.setenv("MASTER_ADDR", host)
+    monkeypatch.setenv(INTERFACE, "eth0")
+    meet_on_loopback(place)
+    assert (os.environ[INTERFACE] in ("lo", "lo0")) == near
+
+
+def test_a_follower_whose_leader_has_ended_does_not_wait(tmp_path):
+    """It ends at once with the code of a broken group."""
+    places = {"RANK": "1", "WORLD_SIZE": "2", STORE: str(tmp_path / "store"), LEADER: str(2**30)}
+    command = [sys.executable, "-m", "eia_sec.deploy.cli", "learner"]
+    done = subprocess.run(
+        command, env={**os.environ, **places}, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, "the leader has ended." in done.stderr) == (3, True)
+
+
+def started(monkeypatch):
+    """Let this process be a learner of torchrun."""
+    for name, value in VARIABLES.items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.mark.parametrize(("rank", "size"), [("2", "2"), ("-1", "2"), ("0", "1000"), ("x", "2")])

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from eia_sec.common.errors import GroupError
-from eia_sec.learner.group import following
+from eia_sec.learner.group import following, process_group
 from eia_sec.learner.group.process_group import Order, ProcessGroup
 from eia_sec.learner.group.updates import FollowingUpdates, LeadingUpdates
 from eia_sec.learner.networks.adam import Moments
@@ -67,7 +67,11 @@ class DoubledFollower(FollowingUpdates):
 
 
 def member(rank: int, size: int, store: Path, *words: str) -> "subprocess.Popen[bytes]":
-    """Start a process that follows one run after another, until the leader is gone; `double` for float64 numbers."""
+    """Start a process that follows one run after another, until the leader is gone.
+
+    Words: `double` for float64 numbers; `impatient` waits a second for others in an exchange, as a leader;
+    `impostor` does not know what the store holds.
+    """
     command = [sys.executable, "-m", "tests.learner.group.members", str(rank), str(size), str(store), *words]
     return subprocess.Popen(command, env={**os.environ, **LOOPBACK})
 
@@ -93,10 +97,16 @@ def main() -> None:
     """Be a member."""
     if "double" in sys.argv:
         following.FollowingUpdates = DoubledFollower
+    if "impatient" in sys.argv:
+        process_group.SILENT_SECONDS = 1.0
+    if "impostor" in sys.argv:
+        proof = process_group._proof
+        process_group._proof = lambda secret, sender, receiver: proof(b"guessed", sender, receiver)
     group = ProcessGroup(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))
     with suppress(GroupError):
         while True:
             following.follow(group)
+    group.close()
 
 
 def end(group: ProcessGroup) -> None:

@@ -1,14 +1,16 @@
 """A group ends when a member is gone or differs; what it has learned goes on with any number of learners."""
 
 import signal
+import time
 
 import numpy as np
 import pytest
 import torch
 
 from eia_sec.common.errors import GroupError
-from eia_sec.learner.group.following import introduce
+from eia_sec.learner.group.following import _most_rows, introduce
 from eia_sec.learner.group.process_group import Order
+from eia_sec.learner.group.updates import FollowingUpdates
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.group.members import end, group_of
 from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, moved
@@ -47,6 +49,53 @@ def test_the_others_end_with_the_leader(tmp_path):
         introduce(group, CONFIG, TEAM)
         group.close()
         assert follower.wait(60.0) == 0
+
+
+def test_who_does_not_know_the_store_is_no_member(tmp_path):
+    """Whoever connects to a member's port takes part only if it can read the group's store."""
+    said = "what connected as learner 1 of 2 is not of this group"
+    with pytest.raises(GroupError, match=said), group_of(2, tmp_path, "impostor"):
+        pass
+
+
+def test_a_follower_bears_a_silent_leader(tmp_path):
+    """A leader that loads or saves for longer than it waits itself finds its followers in their places."""
+    with group_of(2, tmp_path, "impatient") as (group, (follower,)):
+        introduce(group, CONFIG, TEAM)
+        time.sleep(2.5)
+        for _ in range(3):
+            group.order(Order.NOTHING)
+        end(group)
+        assert follower.poll() is None
+
+
+@pytest.mark.parametrize("number", [float("inf"), float("nan"), 99.0])
+def test_an_impossible_order_ends_a_follower_as_a_broken_group(tmp_path, number):
+    """Numbers that no order has are a GroupError, by which members of these tests end with 0."""
+    with group_of(2, tmp_path) as (group, (follower,)):
+        introduce(group, CONFIG, TEAM)
+        group.broadcast([torch.full((5,), number, dtype=torch.float64)])
+        assert follower.wait(60.0) == 0
+
+
+@pytest.mark.parametrize("count", [-1, 10**8])
+def test_rows_are_counted_before_memory_is_taken(count):
+    """A follower takes no more rows than an iteration of its run can have."""
+
+    class Sender:
+        rank, size = 1, 2
+
+        def broadcast(self, tensors):
+            """Leave them as they are."""
+
+        def receive(self, tensors):
+            """Send a count."""
+            tensors[0].fill_(count)
+
+    updates = FollowingUpdates(CONFIG.on_policy, TEAM, 0, CONFIG.learner, Sender())
+    updates.most_rows = _most_rows(CONFIG)
+    with pytest.raises(GroupError, match=f"impossible count, {count}"):
+        updates.take_rows()
 
 
 def test_different_parameters_end_the_group(tmp_path):

@@ -55,7 +55,23 @@ def group(request, tmp_path_factory):
 @pytest.mark.parametrize("case", CASES)
 def test_a_group_does_what_one_learner_does(group, case):
     """Parameters, moments and measurements of 50 updates agree to 1e-10, clips, stops and the parting included."""
-    name, options = CASES[case]
+    agree(group, *CASES[case])
+
+
+@pytest.mark.parametrize("name", ["ippo", "eia-ppo"])
+def test_a_learner_without_samples_changes_nothing(group, name, monkeypatch):
+    """A minibatch of one learner's samples alone moves the networks as that learner would alone."""
+    minibatches = Shares.minibatches
+
+    def lopsided(shares, shuffled, count):
+        return [part[part >= shares.starts[-2]] for part in minibatches(shares, shuffled, count)]
+
+    monkeypatch.setattr(Shares, "minibatches", lopsided)
+    agree(group, name, {"target_kl": 0.0})
+
+
+def agree(group, name, options):
+    """Let one learner and a group learn the same, and hold them against each other."""
     config = configured(name, **options)
     one, led = OnPolicyTrainer(config, TEAM), OnPolicyTrainer(config, TEAM, group)
     arguments = config.on_policy, TEAM, config.seed, config.learner
