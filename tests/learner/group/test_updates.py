@@ -55,7 +55,7 @@ def group(request, tmp_path_factory):
 @pytest.mark.parametrize("case", CASES)
 def test_a_group_does_what_one_learner_does(group, case):
     """Parameters, moments and measurements of 50 updates agree to 1e-10, clips, stops and the parting included."""
-    agree(group, *CASES[case])
+    assert agree(group, *CASES[case]) >= UPDATES
 
 
 @pytest.mark.parametrize("name", ["ippo", "eia-ppo"])
@@ -67,11 +67,11 @@ def test_a_learner_without_samples_changes_nothing(group, name, monkeypatch):
         return [part[part >= shares.starts[-2]] for part in minibatches(shares, shuffled, count)]
 
     monkeypatch.setattr(Shares, "minibatches", lopsided)
-    agree(group, name, {"target_kl": 0.0})
+    assert agree(group, name, {"target_kl": 0.0}) >= UPDATES
 
 
 def agree(group, name, options):
-    """Let one learner and a group learn the same, and hold them against each other."""
+    """Let one learner and a group learn the same, compare them, and return how many updates they made."""
     config = configured(name, **options)
     one, led = OnPolicyTrainer(config, TEAM), OnPolicyTrainer(config, TEAM, group)
     arguments = config.on_policy, TEAM, config.seed, config.learner
@@ -100,3 +100,4 @@ def agree(group, name, options):
         # Each learner reports the mean loss of an ensemble, whose members may differ by one row.
         most = 0.1 * value if name == "eia-ppo" and statistic.startswith("value_loss") else 1e-6
         assert led.statistics()[statistic] == pytest.approx(value, abs=most), statistic
+    return led.updates
