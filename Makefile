@@ -73,7 +73,7 @@ $(READY): pyproject.toml constraints.txt
 	@echo "Setting up $(VENV): a few minutes, only this once."
 	@"$(PYTHON)" -m venv $(VENV)
 	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
-	@$(PIP) --no-build-isolation --editable '.[dev,export]'
+	@$(PIP) --no-build-isolation --editable '.[dev,export,mavlink,record]'
 	@echo "Compiling the simulator once, so that no process has to."
 	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from eia_sec.common.config import FarmConfig; from eia_sec.rollout.sim.batch import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
