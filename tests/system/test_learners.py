@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 
 import psutil
 import pytest
@@ -35,14 +36,14 @@ class Learners(Training):
 
     def found(self, *words):
         """Return the running processes whose command has these words, and of learners that of the leader or not."""
-        leader = "--learners" in words
-        return [
-            process
-            for process in self.children()
-            if process.status() != psutil.STATUS_ZOMBIE
-            and set(words) <= set(command := process.cmdline())
-            and ("learner" not in words or ("--learners" in command) == leader)
-        ]
+        leader, running = "--learners" in words, []
+        for process in self.children():
+            with suppress(psutil.NoSuchProcess):
+                command = process.cmdline()
+                wanted = set(words) <= set(command) and process.status() != psutil.STATUS_ZOMBIE
+                if wanted and ("learner" not in words or ("--learners" in command) == leader):
+                    running.append(process)
+        return running
 
     def one(self, *words):
         """Wait for such a process, and return it."""
