@@ -1,7 +1,7 @@
 """Simulated vehicles: each UAV of a farm publishes its poses and what it served, and obeys its set-points."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -55,11 +55,18 @@ class SimulatedFleet:
         config: the farm.
         links: for each agent, its vehicle's link.
         patience: seconds without a decision after which the flight fails.
+        monotonic: seconds that never go back.
     """
 
-    def __init__(self, config: FarmConfig, links: Mapping[str, VehicleLink], patience: float = 30.0) -> None:
+    def __init__(
+        self,
+        config: FarmConfig,
+        links: Mapping[str, VehicleLink],
+        patience: float = 30.0,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._farms = make_farms(config, 1)
-        self._links, self._patience = links, patience
+        self._links, self._patience, self._monotonic = links, patience, monotonic
         world = config.world
         self._heights = np.repeat(
             (world.height_communication, world.height_monitoring, world.height_collection), world.counts
@@ -129,7 +136,7 @@ class SimulatedFleet:
     def _decided(self, flight: Flight, last: int, stop: StopSignal) -> tuple[Float32, int] | None:
         """Publish all poses; return the decided actions [2 n] and their number, or None if stopped."""
         names = self._farms.team.agent_names
-        began = resent = time.monotonic()
+        began = resent = self._monotonic()
         self._publish(names)
         found: dict[str, SetpointMessage] = {}
         flying = [name for name, gone in zip(names, self._farms.gone[0], strict=True) if not gone]
@@ -137,15 +144,15 @@ class SimulatedFleet:
         while len(found) < len(flying):
             if stop:
                 return None
-            for agent in set(flying) - found.keys():
+            for agent in [name for name in flying if name not in found]:
                 message = self._links[agent].setpoint()
                 if not message.hover and message.decision > last:
                     found[agent] = message
-                    flight.round_trips.append(time.monotonic() - began)
+                    flight.round_trips.append(self._monotonic() - began)
                 elif message.hover and message.period > 0 and agent not in hovering:
                     hovering.add(agent)
                     flight.hovers += 1
-            now = time.monotonic()
+            now = self._monotonic()
             if now - began > self._patience:
                 missing = sorted(set(flying) - found.keys())
                 why = self._links[missing[0]].setpoint().reason
@@ -156,7 +163,7 @@ class SimulatedFleet:
             if now - resent > RESEND_SECONDS:
                 resent = now
                 flight.resent += len(flying) - len(found)
-                self._publish(set(flying) - found.keys())
+                self._publish([name for name in flying if name not in found])
             stop.event.wait(LOOK_SECONDS)
         actions: NDArray[np.float64] = np.array([found[n].action if n in found else (0.0, 0.0) for n in names])
         return actions.astype(np.float32).ravel(), max((m.decision for m in found.values()), default=last)

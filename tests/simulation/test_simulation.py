@@ -17,7 +17,7 @@ NIGHTLY = 20_000
 FOUND_WITHIN = 1_000
 """Seeds within which each planted defect must be found."""
 QUICKLY = {
-    "duplicates are accepted": 14,
+    "duplicates are accepted": 15,
     "parameters of a lower epoch are applied": 1,
     "the lead is granted to everybody": 0,
     "an event is announced before it is applied": 0,

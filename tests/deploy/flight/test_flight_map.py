@@ -44,7 +44,7 @@ class Flown:
         self._incoming = {v: air.subscribe(keys.POSE.key(RUN, vehicle=v), 16) for v in names}
         self._outgoing = {v: air.publish(keys.SETPOINT.key(RUN, vehicle=v)) for v in names}
         stop = _Never(event=SimpleNamespace(wait=self._period))
-        self.flight = SimulatedFleet(config, links, 600.0).fly(FARM, 0, stop, steps)
+        self.flight = SimulatedFleet(config, links, 600.0, self._clock).fly(FARM, 0, stop, steps)
         self._loss = 0.0
         self._period(0.0)
 
