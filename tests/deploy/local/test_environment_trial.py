@@ -26,7 +26,8 @@ HANGING = "import time\nprint('imported', flush=True)\ntime.sleep(600)\n"
 @pytest.fixture(autouse=True)
 def toys(monkeypatch):
     """Let the other process find the toys, as PYTHONPATH of a user does."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TOYS), os.environ.get("PYTHONPATH", "")]))
+    before = os.environ.get("PYTHONPATH")  # an empty part would be the working directory
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TOYS), before] if before else [str(TOYS)]))
 
 
 def attempt(name, arguments="{}"):
