@@ -137,7 +137,7 @@ class Worker:
     ) -> None:
         name = options.name
         self._options, self._config, self._control, self._stop = options, config, control, stop
-        self._clock_alarm = _clock_alarm(answer.newest_incarnation)
+        self._clock_alarm, self._met = _clock_alarm(answer.newest_incarnation), answer.epoch
         self._collector, self._outages, self._presence = collector, outages, presence
         self._arguments = config.env.arguments
         self._whole = _why_whole(config, lockstep=answer.lockstep)
@@ -328,7 +328,8 @@ class Worker:
         own = (
             self.history.failure,
             self._gate.pause_reason,
-            self._clock_alarm,
+            # Another learner has a clock of its own.
+            self._clock_alarm if self._learner.epoch in (0, self._met) else "",
             self._learner.alarm,
             self._collector.alarm,
         )
