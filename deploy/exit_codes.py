@@ -39,9 +39,8 @@ def run_command(command: Callable[[], int | None]) -> int:
         code = _flushed(command)
     except EiaSecError as error:
         # Whoever is ended while it waits has done what it was asked to.
-        return (
-            DONE if isinstance(error, CancelledError) else _complain(str(error) or type(error).__name__, _code(error))
-        )
+        said = str(error) or type(error).__name__
+        return DONE if isinstance(error, CancelledError) else _complain(said, _code(error))
     except KeyboardInterrupt:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
@@ -53,7 +52,9 @@ def run_command(command: Callable[[], int | None]) -> int:
 
 
 def _code(error: EiaSecError) -> int:
-    return next((code for kind, code in ((UsageError, USAGE), (GroupError, GROUP)) if isinstance(error, kind)), FAILED)
+    if isinstance(error, UsageError):
+        return USAGE
+    return GROUP if isinstance(error, GroupError) else FAILED
 
 
 def _flushed(command: Callable[[], int | None]) -> int | None:

@@ -52,10 +52,6 @@ class Levels:
         """Note that counters were set to 0 in a step, unless they were visited later."""
         self._visit[items] = np.maximum(self._visit[items], step)
 
-    def visited(self, item: int) -> int:
-        """Return the step of a counter's last visit, NEVER_VISITED for none."""
-        return int(self._visit[item])
-
     def at(self, step: int) -> Array:
         """Return the levels after a step."""
         since = self.rises(step) - np.where(self._visit == NEVER_VISITED, 0, self.rises(self._visit))

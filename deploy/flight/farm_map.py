@@ -44,11 +44,6 @@ class FarmMap:
         """Whether the episode is over."""
         return self.begun and bool(self.farm.ended[0])
 
-    def items(self, row: int) -> int:
-        """Return how many plots or sensors an agent may serve."""
-        world = self.farm.config.world
-        return (0, world.plots_x * world.plots_y, world.sensors)[self._kinds[row]]
-
     def commanded(self, row: int, velocity: tuple[float, float]) -> None:
         """Note the velocity that an agent was commanded last, m/s."""
         self._commands[row] = velocity

@@ -14,6 +14,7 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol.messages import SetpointMessage
 from eia_sec.common.team import Float32
 from eia_sec.common.transitions import EpisodeSummary
+from eia_sec.deploy.flight.farm_map import team_vehicles
 from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.followed_farm import served_in
@@ -67,10 +68,7 @@ class SimulatedFleet:
     ) -> None:
         self._farms = make_farms(config, 1)
         self._links, self._patience, self._monotonic = links, patience, monotonic
-        world = config.world
-        self._heights = np.repeat(
-            (world.height_communication, world.height_monitoring, world.height_collection), world.counts
-        ).tolist()
+        self._heights = [vehicle.height for vehicle in team_vehicles(config, {}, ())]
 
     def fly(self, farm: int, episode: int, stop: StopSignal, steps: int | None = None) -> Flight:
         """Fly an evaluation episode or its first steps; end early if stopped.

@@ -16,7 +16,7 @@ from eia_sec.common.errors import EnvironmentFaultError
 from eia_sec.deploy.exit_codes import DONE, OUR_CODES, USAGE
 from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.run_directory import CONFIG, RunDirectory
-from eia_sec.rollout.envs.registry import served_spec
+from eia_sec.rollout.envs.registry import spec_of_team
 
 REPORTED: Final = "reported"
 """File that the trial leaves in the directory when it ends by itself, with a result or with a sentence."""
@@ -44,7 +44,7 @@ def tried(config: RunConfig) -> EnvironmentSpec:
         team = directory.team()
         if (directory.path / REPORTED).exists():
             if team is not None:
-                return served_spec(config, team)
+                return spec_of_team(config, team)
             sys.exit(code if code in OUR_CODES and code != DONE else USAGE)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
     raise EnvironmentFaultError(

@@ -1,6 +1,5 @@
 """How many learners a run has, and where it cannot have several."""
 
-import ipaddress
 import os
 import socket
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import Final
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import ConfigError, UsageError
+from eia_sec.common.transport.endpoint import Endpoint
 
 MOST_LEARNERS: Final = 64
 BLOCKS: Final = 2
@@ -80,7 +80,7 @@ def chosen_place(learners: int, *, insecure: bool) -> Place:
     if learners > 1:
         raise UsageError(f"torchrun has started {place.size} learners; leave --learners out.")
     host = os.environ.get("MASTER_ADDR", "")
-    if not (insecure or _is_loopback(host)):
+    if not (insecure or Endpoint("tcp", host, 1).is_loopback):
         raise UsageError(
             f"the learners that torchrun has started meet at {host}, and exchange rows and gradients without "
             "authentication or encryption; on a network of your own, allow it with --insecure."
@@ -99,7 +99,7 @@ def refuse_torchrun(command: str) -> None:
 
 def meet_on_loopback(place: Place) -> None:
     """Let a group that meets on this machine listen on the loopback interface only, whatever the host's name means."""
-    if not place.by_torchrun or _is_loopback(os.environ.get("MASTER_ADDR", "")):
+    if not place.by_torchrun or Endpoint("tcp", os.environ.get("MASTER_ADDR", ""), 1).is_loopback:
         names = [name for _, name in socket.if_nameindex()]
         os.environ[INTERFACE] = next((name for name in names if name in ("lo", "lo0")), "lo")
 
@@ -125,10 +125,3 @@ def require_learners(config: RunConfig, learners: int, *, lockstep: bool) -> Non
         raise ConfigError(
             f"algorithm.minibatch_steps and iteration_steps must be at least {least} for {learners} learners."
         )
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False

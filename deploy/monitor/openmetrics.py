@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 
 from eia_sec.common.errors import EndpointError
 from eia_sec.deploy.monitor.snapshot import ProcessRow, Snapshot
-from eia_sec.deploy.monitor.web.address import LOOPBACK, bracketed
+from eia_sec.deploy.monitor.web.address import own_hosts
 
 STATES: Final = ("starting", "training", "draining", "finished", "without learner")
 """States of a run that a scrape distinguishes; any other is "starting"."""
@@ -70,10 +70,9 @@ class OpenMetricsServer:
         registry = CollectorRegistry(auto_describe=False)
         registry.register(collector)
         address = host.strip("[]")
-        names = None if strangers else (*LOOPBACK, bracketed(address))
         try:
             self._server = _Server(
-                socket.AF_INET6 if ":" in address else socket.AF_INET, (address, port), _handler(registry, names)
+                socket.AF_INET6 if ":" in address else socket.AF_INET, (address, port), _handler(registry, strangers)
             )
         except OSError as error:
             raise EndpointError(f"cannot serve on {host}, port {port}: {error.strerror}.") from None
@@ -101,6 +100,7 @@ class _Server(ThreadingHTTPServer):
         self.address_family = family
         self._seats = threading.BoundedSemaphore(MOST_REQUESTS)
         super().__init__(address, handler)
+        self.own = own_hosts(address[0], self.server_port)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         if self._seats.acquire(blocking=False):
@@ -118,14 +118,15 @@ class _Server(ThreadingHTTPServer):
         return
 
 
-def _handler(registry: CollectorRegistry, names: tuple[str, ...] | None) -> type[BaseHTTPRequestHandler]:
-    """Return what answers GET /metrics, to requests for these names; to any where there are none."""
+def _handler(registry: CollectorRegistry, strangers: bool) -> type[BaseHTTPRequestHandler]:
+    """Return what answers GET /metrics, to requests for this machine's own names unless strangers are welcome."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = REQUEST_SECONDS
 
         def do_GET(self) -> None:
-            if names is not None and (self.headers.get("Host") or "").rpartition(":")[0] not in names:
+            assert isinstance(self.server, _Server)
+            if not (strangers or self.headers.get("Host") in self.server.own):
                 self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
             elif self.path.partition("?")[0] != "/metrics":
                 self.send_error(HTTPStatus.NOT_FOUND)

@@ -14,9 +14,9 @@ from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.process.lease import Lease
 
 SHOWN_NAME = 64
+"""Most characters of another process's name in a log line or an answer."""
 MOST_NAMES = 4096
 """Most names of processes for which the number that was given out last is remembered."""
-"""Most characters of another process's name in a log line or an answer."""
 
 
 class CommandServer:

@@ -37,7 +37,7 @@ from eia_sec.rollout.heuristics.farms import make_farms
 from eia_sec.rollout.heuristics.inertia import glide
 from eia_sec.rollout.policies import policy_of
 from eia_sec.rollout.sim.layout import make_layout
-from eia_sec.rollout.sim.reference.farm import ReferenceFarm, densest_direction
+from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from eia_sec.rollout.sim.reference.power import flight_power
 from research.benchmarks.dynamics import GAIN, GRAVITY, INTEGRAL
 from tests.deploy.flight.air import Air, Clock, make_pilot
@@ -149,11 +149,7 @@ class Judge(ReferenceFarm):
 
     def _look(self) -> None:
         """Find the directions alone: nobody observes here."""
-        self.direction = np.zeros((len(self.kind), 2))
-        for u in self.living(1):
-            self.direction[u] = densest_direction(self.position[u], self.plot_xy, self.vdf.reshape(-1))
-        for u in self.living(2):
-            self.direction[u] = densest_direction(self.position[u], self.layout.sensor_xy, self.aoi)
+        self._find_directions()
 
 
 def fly(arguments: Arguments) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from typing import Any, Final
 
-from eia_sec.deploy.reports.intervals import DECIMALS, ranked
+from eia_sec.deploy.reports.intervals import COLUMNS, DECIMALS, ranked
 from eia_sec.rollout.heuristics.registry import TASKS
 from research.pages.blocks import table, wrapped
 
@@ -12,14 +12,7 @@ AIM: Final = 1.05
 """What trained teams should earn, over the best heuristic's reward."""
 AIM_MINUTES: Final = 40.0
 """Minutes of processor time in which they should: twenty on each of two cores."""
-FIELDS: Final = {
-    "reward": "reward per agent",
-    "communication": "communication",
-    "monitoring": "monitoring",
-    "collection": "data collection",
-    "aoi": "AoI",
-    "vdf": "VDF",
-}
+FIELDS: Final = {name: heading for name, heading in COLUMNS.items() if name not in ("energy_j", "collisions")}
 """Shown fields of a score and their headings."""
 
 

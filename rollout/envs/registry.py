@@ -135,8 +135,8 @@ def environment_spec(
     return spec
 
 
-def served_spec(config: RunConfig, team: TeamSpec) -> EnvironmentSpec:
-    """Return the description of environments that others serve, whose team is known; raises as `environment_spec`."""
+def spec_of_team(config: RunConfig, team: TeamSpec) -> EnvironmentSpec:
+    """Return the description of environments from outside whose team is known; raises as `environment_spec`."""
     return _trainable(config, EnvironmentSpec(team, (1, config.env.steps or MOST_EPISODE_STEPS)))
 
 

@@ -26,7 +26,7 @@ from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.learner.networks.device import usable_device
 from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.service import serve
-from eia_sec.rollout.envs.registry import environment_spec, served_spec
+from eia_sec.rollout.envs.registry import environment_spec, spec_of_team
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 from eia_sec.rollout.worker.outages import Outages
 
@@ -148,7 +148,7 @@ def _environment(options: LearnerArguments, endpoint: Endpoint) -> EnvironmentSp
         return environment_spec(config, patience=Outages(Event()))
     team = None if options.run_dir is None else RunDirectory(options.run_dir).team()
     if team is not None:
-        return served_spec(config, team)
+        return spec_of_team(config, team)
     return tried_spec(config, endpoint, connect=options.connect is not None)
 
 

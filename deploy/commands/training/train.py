@@ -35,7 +35,7 @@ from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
-from eia_sec.rollout.envs.registry import environment_spec, served_spec
+from eia_sec.rollout.envs.registry import environment_spec, spec_of_team
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 if TYPE_CHECKING:
@@ -267,7 +267,7 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
         return tried(config) if config.env.is_third_party else environment_spec(config)
     team = RunDirectory(options.run_dir).team() if options.resume and options.run_dir is not None else None
     if team is not None:
-        return served_spec(config, team)
+        return spec_of_team(config, team)
     listener = endpoint if options.tls is None else Endpoint.parse(str(endpoint), options.tls / LEARNER)
     return tried_spec(config, listener)
 

@@ -8,6 +8,20 @@ from eia_sec.common.transport.endpoint import Endpoint
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 """Names by which requests ask for this machine."""
 
+HTTP: Final = 80
+"""The port that browsers leave out of Host and Origin."""
+
+
+def own_hosts(host: str, port: int) -> set[str]:
+    """Return the Host headers of requests that ask for a server of this machine.
+
+    Args:
+        host: the address that it listens on.
+        port: its port.
+    """
+    names = {*LOOPBACK, bracketed(host)}
+    return {f"{name}:{port}" for name in names} | (names if port == HTTP else set())
+
 
 def bracketed(host: str) -> str:
     """Return a host as it stands in a URL."""

@@ -17,7 +17,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from eia_sec.common.errors import EndpointError
-from eia_sec.deploy.monitor.web.address import LOOPBACK, bracketed
+from eia_sec.deploy.monitor.web.address import own_hosts
 from eia_sec.deploy.monitor.web.hub import Hub
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -34,8 +34,6 @@ STREAM: Final = "/stream"
 MAX_BROWSERS: Final = 16
 MAX_CONNECTIONS: Final = 64
 """Most connections at a time, those included whose request has not come; more are closed at once."""
-HTTP: Final = 80
-"""The port that browsers leave out of Host and Origin."""
 SECONDS: Final = 3.0
 """Time that a browser has to open or close a connection."""
 SEND_SECONDS: Final = 10.0
@@ -63,9 +61,8 @@ class WebServer:
     """
 
     def __init__(self, hub: Hub, host: str, port: int, *, strangers: bool = False) -> None:
-        self._hub, self._strangers = hub, strangers
+        self._hub, self._host, self._strangers = hub, host, strangers
         address = host.strip("[]")
-        self._names = (*LOOPBACK, bracketed(host))
         self.refused = 0
         try:
             self._server: Server = serve(
@@ -131,10 +128,9 @@ class WebServer:
     def _objection(self, path: str, hosts: list[str], origins: list[str]) -> tuple[http.HTTPStatus, str] | None:
         """Return why a request is refused, or None."""
         host, found = "".join(hosts), None
-        own = {f"{name}:{self.port}" for name in self._names} | (set(self._names) if self.port == HTTP else set())
         if len(hosts) > 1 or len(origins) > 1:
             found = http.HTTPStatus.BAD_REQUEST, "A request has one Host and one Origin."
-        elif not (self._strangers or host in own):
+        elif not (self._strangers or host in own_hosts(self._host, self.port)):
             found = http.HTTPStatus.MISDIRECTED_REQUEST, "This server answers its own machine only."
         elif path != STREAM and path not in FILES:
             found = http.HTTPStatus.NOT_FOUND, "There is no such page."

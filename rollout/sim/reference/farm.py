@@ -284,13 +284,17 @@ class ReferenceFarm(FarmState):
             self.parts[u, 4:7] *= seconds
         self.reward = self.parts.sum(axis=1)
 
-    def _look(self) -> None:
-        """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""
+    def _find_directions(self) -> None:
+        """Find D_VDF and D_AoI."""
         self.direction = np.zeros((len(self.kind), 2))
         for u in self.living(1):
             self.direction[u] = densest_direction(self.position[u], self.plot_xy, self.vdf.reshape(-1))
         for u in self.living(2):
             self.direction[u] = densest_direction(self.position[u], self.layout.sensor_xy, self.aoi)
+
+    def _look(self) -> None:
+        """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""
+        self._find_directions()
         apart = np.linalg.norm(self.position[:, None] - self.position, axis=2)
         apart[(self.kind[:, None] != self.kind) | np.eye(len(self.kind), dtype=bool)] = math.inf
         apart[self.gone], apart[:, self.gone] = math.inf, math.inf

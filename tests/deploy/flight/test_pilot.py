@@ -130,7 +130,7 @@ def test_steps_that_were_slept_through_are_taken_over():
     team.period()
     assert team.pilot.map.steps == 7
     assert team.decider.decided == 2
-    assert team.pilot.map.farm.plots.visited(3) == 7
+    assert team.pilot.map.farm.plots._visit[3] == 7
 
 
 def test_reports_set_counters_to_0_in_the_step_in_which_they_were_served():

@@ -9,7 +9,7 @@ from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.options import base_configuration, require_env
-from eia_sec.rollout.envs.registry import environment_spec, make_environments, served_spec
+from eia_sec.rollout.envs.registry import environment_spec, make_environments, spec_of_team
 
 SITES = ["--env", "zenoh:site-*"]
 TEAM = TeamSpec((GroupSpec("arm", 2, 3, 1),))
@@ -32,10 +32,10 @@ def test_evaluations_of_elites_are_refused_and_the_way_out_is_named() -> None:
     """It would evaluate beside training; with scores from training itself, the same algorithm is taken."""
     config = preset("eia-sec").with_environment("zenoh:site-*")
     with pytest.raises(ConfigError, match=r"--elite\.farms 0"):
-        served_spec(config, TEAM)
+        spec_of_team(config, TEAM)
     scored = replace(config, elite=replace(config.elite, farms=0))
     assert scored.imitates
-    assert served_spec(scored, TEAM).team == TEAM
+    assert spec_of_team(scored, TEAM).team == TEAM
 
 
 def test_where_nothing_is_reached_a_sentence_says_which_commands_do() -> None:
