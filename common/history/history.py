@@ -14,8 +14,9 @@ The fifth form is a verdict on chunks `first` to `last` of one start of a worker
 `eia_sec.common.protocol.messages.ChunkMessage`).
 
 A worker writes *produced* for each chunk, and then the learner's answer: *acknowledged*, *repeated* (the learner had it
-already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
-arrive). In lines with *duplicate* or *missing*, `steps` is the total of the line.
+already) or *refused*. The learner writes *accepted*, *refused*, *duplicate*, *missing* (chunks before `first` can no
+longer arrive) and *undelivered* (a newer start of the worker delivers, and this one had flown further than its last
+chunk). In lines with one of the last three, `steps` is the total of the line.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
 The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
@@ -43,8 +44,8 @@ MAX_BYTES: Final = 256 * 2**20
 MOST_JOINED: Final = 2**24
 """Most chunks in one line; longer ranges are split."""
 _FIRST: Final = re.compile(r'\["history",(\d{1,9})\]')
-VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing")
-SUMMED: Final = ("duplicate", "missing")
+VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing", "undelivered")
+SUMMED: Final = ("duplicate", "missing", "undelivered")
 """Verdicts whose lines hold a total, not one chunk after another."""
 
 
@@ -117,6 +118,7 @@ class Summary:
         accepted, refused, lost: chunks with each outcome; lost ones were accepted after the checkpoint of a resume.
         accepted_steps, refused_steps, lost_steps: environment steps in them, as far as known.
         missing_steps: steps of chunks that never arrived.
+        undelivered_steps: steps that the start had flown beyond its last chunk when a newer one replaced it.
         duplicates: chunks that arrived again.
     """
 
@@ -130,6 +132,7 @@ class Summary:
     lost: int = 0
     lost_steps: int = 0
     missing_steps: int = 0
+    undelivered_steps: int = 0
     duplicates: int = 0
 
     def plus(self, other: "Summary") -> "Summary":
@@ -262,7 +265,7 @@ class _Joined:
                 self._records[place] = replace(before, first=first, last=last, steps=before.steps + record.steps)
                 return
             follows = record.first == before.last + 1 and record.last - before.first < MOST_JOINED
-            if record.verdict != "missing" and follows and record.steps == before.steps:
+            if record.verdict not in SUMMED and follows and record.steps == before.steps:
                 self._records[place] = replace(before, last=record.last, produced=record.produced, flown=record.flown)
                 return
         self._open[key] = len(self._records)

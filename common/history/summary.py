@@ -82,6 +82,10 @@ class _Totals:
                 self.merge(replace(whole, refused=chunks, refused_steps=steps))
             case "missing":
                 self.merge(replace(whole, missing_steps=entry.steps))
+            case "undelivered":
+                # A learner that was killed after this line meets the newer start again, and repeats it.
+                held = self._sums[entry.worker].get(entry.incarnation, whole)
+                self.merge(replace(whole, undelivered_steps=entry.steps - held.undelivered_steps))
             case "duplicate":
                 self.merge(replace(whole, duplicates=entry.steps))
 

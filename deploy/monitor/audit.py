@@ -125,13 +125,15 @@ class _Received:
     """One start of a worker by the learner's history: fate and steps by number.
 
     The history may begin later than the run, with the checkpoint of a resume: `first` is the first number that this one
-    did not hold. Chunks up to number `summed` are known by their `summary` alone.
+    did not hold. Chunks up to number `summed` are known by their `summary` alone. `undelivered` steps were flown beyond
+    the last chunk when a newer start came.
     """
 
     fate: ChunkRanges[tuple[str, int]] = field(default_factory=ChunkRanges)
     first: int = 1
     missing: int = 0
     missing_before: set[int] = field(default_factory=set)
+    undelivered: int = 0
     summary: Summary | None = None
     summed: int = 0
     _ordered: list[int] = field(default_factory=list)
@@ -219,6 +221,8 @@ def _learner(records: list[Record], found: Audit) -> dict[Source, _Received]:
                 part = received.setdefault((record.worker, record.incarnation), _Received())
                 part.missing += record.steps
                 part.missing_before.add(record.first)
+            case Entry(verdict="undelivered"):
+                received.setdefault((record.worker, record.incarnation), _Received()).undelivered = record.steps
             case Entry():
                 source = record.worker, record.incarnation
                 _take(received.setdefault(source, _Received()), source, record, found)
@@ -352,10 +356,11 @@ def _without_worker(source: Source, received: _Received, found: Audit) -> None:
         found.book(source[0], kind, steps, last - first + 1)
         if kind == "lost":
             found.lost_with["learner"] += steps
-    if received.missing:
-        found.steps["lost"] += received.missing
-        found.workers.setdefault(source[0], Counter())["lost"] += received.missing
-        found.lost_with["unknown"] += received.missing
+    summed = 0 if received.summary is None else received.summary.undelivered_steps
+    if unknown := received.missing + received.undelivered + summed:
+        found.steps["lost"] += unknown
+        found.workers.setdefault(source[0], Counter())["lost"] += unknown
+        found.lost_with["unknown"] += unknown
 
 
 def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:

@@ -122,6 +122,14 @@ class Ledger:
         self.closed = WorkerLedger(0)
         self._switch = threading.Lock()
 
+    def meet(self, sender: Envelope) -> WorkerLedger | None:
+        """Begin the account of a worker's start, unless there is one; return that of the start which it ends, if any.
+
+        The steps that are in flight in the account returned are lost.
+        """
+        before = self.workers.get(sender.name)
+        return before if self._ledger(sender) is not before and before is not None else None
+
     def judge(self, sender: Envelope, oldest: int) -> Status:
         """Return a chunk's status without accepting it; a duplicate is counted.
 

@@ -25,7 +25,7 @@ from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.intake.arrival import Arrival, OwedAnswer
 from eia_sec.learner.intake.episode_tracker import EpisodeTracker, provable
 from eia_sec.learner.intake.iteration_room import IterationRoom
-from eia_sec.learner.intake.ledger import Ledger
+from eia_sec.learner.intake.ledger import Ledger, WorkerLedger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
 from eia_sec.learner.intake.throttle import Throttle
@@ -178,6 +178,8 @@ class Receiver:
             self.replaced += 1
             incoming.reply(ChunkAck(("replaced",), ("a newer start of this worker delivers now.",), 1, 0).encode())
             return
+        if (ended := self.ledger.meet(sender)) is not None and ended.in_flight:
+            self._record_undelivered(sender.name, ended)
         try:
             delivery, parts = from_request(incoming.payload)
         except ProtocolError as error:
@@ -341,6 +343,12 @@ class Receiver:
             self._record("missing", sender, lost)
             self._log(f"worker {sender.name} can no longer deliver {lost} steps from before chunk {sender.sequence}.")
         self._record(verdict, sender, *counts)
+
+    def _record_undelivered(self, worker: str, ended: WorkerLedger) -> None:
+        """Write into the history what a start that a newer one replaced had flown and never delivered."""
+        number, steps, flown = ended.expected, ended.in_flight, ended.flown
+        self._history.add(Entry("undelivered", worker, ended.incarnation, number, number, steps, flown, flown))
+        self._log(f"worker {worker} was started again and never delivered the last {steps} steps of its earlier start.")
 
     def _queue(self, sender: Envelope, chunk: Chunk, counts: Counts, owed: OwedAnswer | None) -> Loop[Verdict]:
         """Book a chunk and put it into the queue, as soon as there is room."""

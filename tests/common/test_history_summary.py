@@ -50,6 +50,19 @@ def test_what_a_resume_rolled_back_stays_lost():
     assert summarised(records, {"w": (1, 41)}) == [Summary("w", 1, 40, 30, 300, lost=10, lost_steps=100)]
 
 
+def test_what_a_replaced_start_never_delivered_stays_lost(tmp_path):
+    """Its steps are in the totals once, also when a learner that was killed wrote them twice."""
+    undelivered = entry("undelivered", 3, 3, 30)
+    told_again = [undelivered, Resume({"w": (1, 3)}), undelivered]
+    found = summarised([entry("accepted", 1, 2), *told_again, entry("accepted", 1, 9, start=2)], {"w": (2, 5)})
+    assert found[:1] == [Summary("w", 1, 2, 2, 20, undelivered_steps=30)]
+    history = History(tmp_path / "history" / "learner.jsonl")
+    for record in [Start("learner", "learner", 1), *found]:
+        history.add(record)
+    history.close()
+    assert audit(tmp_path).lost_with["unknown"] == 30
+
+
 def test_a_second_resume_may_be_from_an_older_checkpoint():
     """Where the newest checkpoint was damaged, chunks that the first resume still held are lost with the second."""
     records = [entry("accepted", 1, 30), Resume({"w": (1, 31)}), Resume({"w": (1, 21)}), entry("accepted", 31, 40)]

@@ -119,6 +119,21 @@ def test_a_start_before_a_late_beginning(tmp_path):
     assert found.chunks["accepted"] == 5
 
 
+@pytest.mark.parametrize("resumed", [False, True])
+@pytest.mark.parametrize("remembers", [False, True])
+def test_steps_of_a_replaced_start_are_lost_once(tmp_path, remembers, resumed):
+    """A worker's own history says which chunks it never delivered; without it the learner's account does."""
+    undelivered = Entry("undelivered", "a", 1, 3, 3, 20, 40, 40)
+    again = [Resume({"a": (1, 3)}), undelivered] if resumed else []
+    learner = [("accepted", 1, 2, 10), undelivered, *again, Entry("accepted", "a", 2, 1, 1, 10, 10, 10)]
+    worker = [made(4), ("acknowledged", 1, 2, 10), Start("rollout", "a", 2)]
+    worker += [Entry(verdict, "a", 2, 1, 1, 10, 10, 10) for verdict in ("produced", "acknowledged")]
+    found = write(tmp_path, learner, worker if remembers else None)
+    assert found.clean, found.unexplained
+    assert found.steps["lost"] == 20
+    assert found.lost_with == ({"worker": 20} if remembers else {"unknown": 20})
+
+
 @pytest.mark.parametrize("late", [True, False])
 def test_the_ledger_is_held_against_a_whole_history_only(tmp_path, late):
     """A ledger of the whole run says more than a history that begins with a checkpoint, and that is no defect."""

@@ -8,7 +8,7 @@ import pytest
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import SchemaError
-from eia_sec.common.history.history import Entry, History, read
+from eia_sec.common.history.history import Entry, History, Start, read
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
 from eia_sec.common.protocol.chunk_rules import ChunkRules
@@ -244,6 +244,23 @@ def test_good_and_refused_chunks_in_turn_do_not_break_the_account(tmp_path):
     assert audit(tmp_path).clean
     records = read(tmp_path / "history" / "learner.jsonl")[0]
     assert [r.verdict for r in records if isinstance(r, Entry)] == ["missing", "refused", "missing", "accepted"]
+
+
+def test_what_a_replaced_start_never_delivered_is_in_the_history(tmp_path):
+    """The learner counts as lost what the earlier start had flown beyond its last chunk, and its history says so."""
+    history = History(tmp_path / "history" / "learner.jsonl")
+    history.add(Start("learner", "learner", 1))
+    receiver, door = front_door(history=history)
+    assert door.pass_on(parcel(a_chunk({}), flown=50)).verdict == "accepted"
+    next_start = parcel(a_chunk({}))
+    next_start.attachment = sender(1, start=2).encode()
+    assert door.pass_on(next_start).verdict == "accepted"
+    shut(receiver, door)
+    history.close()
+    assert receiver.ledger.totals()["lost"] == 30
+    found = audit(tmp_path)
+    assert found.clean
+    assert (found.steps["lost"], found.lost_with["unknown"]) == (30, 30)
 
 
 def test_a_short_chunk_is_taken_and_the_next_one_follows_it():
