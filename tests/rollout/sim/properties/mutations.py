@@ -236,6 +236,7 @@ def copy_sources(folder: Path) -> None:
     ignore = shutil.ignore_patterns("__pycache__")
     for package in ("common", "rollout"):
         shutil.copytree(ROOT / package, folder / package, ignore=ignore)
+    shutil.copytree(ROOT / "src", folder / "src", ignore=ignore, symlinks=True)
     shutil.copytree(ROOT / TESTS, folder / TESTS, ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder / "pyproject.toml")
 
@@ -254,7 +255,7 @@ def apply(mutation: Mutation, folder: Path) -> None:
 
 def run_properties(folder: Path, dose: str, *arguments: str) -> tuple[int, list[str], str]:
     """Run the property tests of a folder's sources; return the exit code, the tests that failed, and what was said."""
-    environment = os.environ | {"EIA_SEC_PROPERTIES": dose, "PYTHONPATH": str(folder)}
+    environment = os.environ | {"EIA_SEC_PROPERTIES": dose, "PYTHONPATH": f"{folder / 'src'}{os.pathsep}{folder}"}
     environment.pop("NUMBA_CACHE_DIR", None)
     files = [f"{TESTS}/properties/{name}" for name in PROPERTIES]
     command = [
