@@ -1,6 +1,8 @@
 """The long doses of the property tests: many random farms, and errors made on purpose that they must notice."""
 
 import secrets
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from tests.rollout.sim.properties.mutations import (
     ROOT,
     apply,
     copy_sources,
+    environment_of,
     noticed,
     run_properties,
 )
@@ -26,6 +29,16 @@ def test_every_error_can_still_be_made(mutation, tmp_path):
         for file, *_ in mutation.edits
     ]
     assert all(changed)
+
+
+def test_the_copy_is_what_is_tested(tmp_path):
+    """Property tests of a copy import the copy's simulator, not the one that is installed."""
+    copy_sources(tmp_path)
+    command = [sys.executable, "-c", "import eia_sec.rollout.sim.batch as batch; print(batch.__file__)"]
+    found = subprocess.run(
+        command, cwd=tmp_path, env=environment_of(tmp_path), capture_output=True, text=True, check=True
+    )
+    assert Path(found.stdout.strip()).is_relative_to(tmp_path)
 
 
 def test_every_property_file_is_run():
