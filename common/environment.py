@@ -31,6 +31,11 @@ class EpisodeMetric:
     plotted: bool = False
     group: str = ""
 
+    @property
+    def heading(self) -> str:
+        """Its label with a unit."""
+        return self.label if self.factor != 1.0 else f"{self.label}, {self.unit}"
+
     def text(self, value: float) -> str:
         """Return a value as tables show it."""
         return f"{value * self.factor:.{self.digits}f}"

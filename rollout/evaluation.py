@@ -140,6 +140,7 @@ def evaluate_environments(
     *,
     name: str,
     batch: int = BATCH,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> Evaluation:
     """Evaluate a policy on farms, or on scenarios of another environment.
 
@@ -150,6 +151,7 @@ def evaluate_environments(
         episodes: episodes on each farm; number k has the seed `episode_seed(farm, k)`.
         name: the policy's name in the result.
         batch: episodes in one batch; results do not depend on it.
+        tell: called after each step with the share of the work that is done, 0 to 1, if episodes last their longest.
 
     Raises:
         ConfigError: there is no farm or no episode to fly.
@@ -163,8 +165,11 @@ def evaluate_environments(
         part = jobs[first : first + batch]
         with closing(make(len(part))) as flown:
             _begin(flown, policy, part)
+            longest, step = flown.spec.episode_steps[1], 0
             while not flown.ended.all():
                 flown.step(policy.act(flown))
+                step += 1
+                tell((first + len(part) * min(1.0, step / longest)) / len(jobs))
             environment = flown.spec
             scores += [_score(flown.team, flown.summary(index)) for index in range(len(part))]
     per_farm = [_mean(scores[first : first + episodes]) for first in range(0, len(jobs), episodes)]
@@ -188,6 +193,7 @@ def evaluate_run(
     *,
     name: str,
     reach: Reach | None = None,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> Evaluation:
     """Evaluate a policy in the environment of a run; see `evaluate_environments`.
 
@@ -203,7 +209,7 @@ def evaluate_run(
         return make_environments(config, count, reach=reach)
 
     with patient_with(config):
-        return evaluate_environments(make, policy, farms, episodes, name=name, batch=batch)
+        return evaluate_environments(make, policy, farms, episodes, name=name, batch=batch, tell=tell)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:

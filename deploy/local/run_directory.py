@@ -21,6 +21,8 @@ TRAIN_LOCK = "train.lock"
 MOST_TEAM_BYTES = 2**24
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
+UNTRAINED = "untrained.safetensors"
+"""The actors with which the run began."""
 LAST_LINE_BYTES = 2**16
 """Bytes at the end of metrics.jsonl that are read to find its last line; the final record is far shorter."""
 HISTORY = "history"

@@ -1,26 +1,35 @@
 """The report of a finished run: curves.png, trajectories.png, evaluation.json and a table on unseen farms."""
 
 import json
+import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 
 from eia_sec.common.config import RunConfig
+from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import farm_of
 from eia_sec.common.policy_file import load_policy
-from eia_sec.deploy.local.run_directory import METRICS, POLICY, RunDirectory
-from eia_sec.deploy.reports.comparison_tables import comparison_table
+from eia_sec.deploy.local.code_options import code_options
+from eia_sec.deploy.local.run_directory import METRICS, POLICY, UNTRAINED, RunDirectory
+from eia_sec.deploy.progress import part, progress
+from eia_sec.deploy.reports.comparison_tables import comparison_table, counted, scenario_word
+from eia_sec.deploy.reports.film import find_ffmpeg
 from eia_sec.deploy.reports.plots import curves, trajectories
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run, record
-from eia_sec.rollout.policies import ActorPolicy, SampledPolicy, reference_policies, run_policy
+from eia_sec.rollout.policies import ActorPolicy, BatchPolicy, SampledPolicy, reference_policies, run_policy
+from eia_sec.rollout.shipped_policies import is_file
 
-TRAINED = "this run"
+TRAINED: Final = "this run"
+BEGINNING: Final = "untrained"
+SAMPLED: Final = ", sampled"
 
 
 def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
-    """Evaluate the run's policy and some heuristics on farms that training never saw, and draw plots.
+    """Evaluate the run's policy and some others on farms that training never saw, draw plots, and say what comes next.
 
     Args:
         directory: the run directory, which holds metrics.jsonl and policy.safetensors.
@@ -31,12 +40,9 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     path = directory.path
     first = config.evaluation.first_farm
     farms = range(first, first + config.evaluation.farms)
-    farm = farm_of(config)
-    scenarios = "scenario seeds" if farm is None else "farms"
-    console.print(
-        f"evaluating on {scenarios} {first}..{first + config.evaluation.farms - 1}, which training never saw ..."
-    )
-    results = evaluate_all(config, path / POLICY, farms)
+    farm, word = farm_of(config), scenario_word(config)
+    console.print(f"evaluating on {counted(len(farms), word)} that training never saw ...", highlight=False)
+    results = evaluate_all(config, path, farms)
     metrics = read_metrics(path / METRICS)
     references = reference_policies(config)
     levels = {result.policy: result.total.reward for result in results if result.policy in references}
@@ -53,18 +59,56 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
         "evaluations": [result.to_dict() for result in results],
     }
     (path / "evaluation.json").write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
-    console.print(comparison_table(results))
-    console.print(f"written to {path}: {', '.join(pictures)}, evaluation.json, {METRICS}, {POLICY}")
+    console.print(comparison_table(shown(results, references), word), highlight=False)
+    if len(references) > 1:
+        console.print(f"heuristics: {', '.join(references)}", highlight=False)
+    console.print(f"written to {path}: {', '.join(pictures)}, evaluation.json, {METRICS}, {POLICY}", soft_wrap=True)
+    console.print("\n".join(["next:", *next_commands(path, config)]), highlight=False, markup=False, soft_wrap=True)
 
 
-def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:
-    """Return the evaluations of a policy file and of the environment's reference policies on the same episodes."""
-    actors, episodes = load_policy(policy)[0], config.evaluation.episodes
-    drawn = {f"{TRAINED}, sampled": SampledPolicy(actors)} if actors.draws and farm_of(config) is None else {}
-    policies = {TRAINED: ActorPolicy(actors), **drawn} | {
-        name: run_policy(name, config) for name in reference_policies(config)
-    }
-    return [evaluate_run(config, flown, farms, episodes, name=name) for name, flown in policies.items()]
+def evaluate_all(config: RunConfig, folder: Path, farms: Sequence[int]) -> list[Evaluation]:
+    """Return evaluations on the same episodes: of the run's policy, of what it began as, and of the references.
+
+    Outside the farm, policies with a distribution are evaluated by drawn actions, too.
+    """
+    policies: dict[str, BatchPolicy[Any]] = {}
+    for name, file in ((TRAINED, POLICY), (BEGINNING, UNTRAINED)):
+        if is_file(folder / file):  # a full disk may have kept the second one away
+            actors = load_policy(folder / file)[0]
+            policies[name] = ActorPolicy(actors)
+            if actors.draws and farm_of(config) is None:
+                policies[f"{name}{SAMPLED}"] = SampledPolicy(actors)
+    policies |= {name: run_policy(name, config) for name in reference_policies(config)}
+    episodes = config.evaluation.episodes
+    with progress("evaluating") as tell:
+        return [
+            evaluate_run(config, flown, farms, episodes, name=name, tell=part(tell, done, len(policies)))
+            for done, (name, flown) in enumerate(policies.items())
+        ]
+
+
+def shown(results: Sequence[Evaluation], references: Sequence[str]) -> list[Evaluation]:
+    """Return the columns of the table: before training, after it, and the best reference."""
+    order = [BEGINNING, f"{BEGINNING}{SAMPLED}", TRAINED, f"{TRAINED}{SAMPLED}"]
+    own = sorted((one for one in results if one.policy in order), key=lambda one: order.index(one.policy))
+    best = max((one for one in results if one.policy in references), key=lambda one: one.total.reward)
+    named = replace(best, policy="random actions" if len(references) == 1 else f"best heuristic:\n{best.policy}")
+    return [*(replace(one, policy=one.policy.replace(TRAINED, "trained")) for one in own), named]
+
+
+def next_commands(path: Path, config: RunConfig) -> list[str]:
+    """Return what to type after a run, each with what it is for."""
+    run, code = shlex.quote(str(path)), " ".join(shlex.quote(word) for word in code_options(config))
+    end = f" {code}" if code else ""
+    found = [(f"eia-sec evaluate --run-dir {run}{end}", f"on more {scenario_word(config)}s: --farms 1000:1100")]
+    if farm_of(config) is not None:
+        try:
+            find_ffmpeg()
+            found.insert(0, (f"eia-sec replay {run}{end}", "a film beside the lawnmower; about a minute"))
+        except UsageError:
+            found.insert(0, (f"eia-sec replay {run}{end} --film none", "all flight paths beside the lawnmower's"))
+    width = max(len(typed) for typed, _ in found)
+    return [f"  {typed:<{width}}   # {why}" for typed, why in found]
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

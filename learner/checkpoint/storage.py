@@ -18,8 +18,10 @@ from eia_sec.learner.trainer import Trainer
 
 SLACK_BYTES: Final = 64 * 2**20
 """Upper bound for the bytes of a checkpoint's tensors other than networks and replay."""
-CHECKPOINTS = "checkpoints"
-POLICY = "policy.safetensors"
+CHECKPOINTS: Final = "checkpoints"
+POLICY: Final = "policy.safetensors"
+UNTRAINED: Final = "untrained.safetensors"
+"""The actors with which a run began; the report at its end compares with them."""
 
 
 class SavableLedger(Protocol):
@@ -168,8 +170,8 @@ class RunStorage:
         except OSError as error:
             log(f"ALARM: a damaged checkpoint could not be set aside: {error.strerror or error}.")
 
-    def write_policy(self, trainer: Trainer) -> str:
-        """Write the present actors as policy.safetensors; return why that failed, or an empty string."""
+    def write_policy(self, trainer: Trainer, name: str = POLICY) -> str:
+        """Write the present actors as a file of this name; return why that failed, or an empty string."""
         if self._directory is None:
             return ""
         metadata = {
@@ -180,7 +182,7 @@ class RunStorage:
             "updates": str(trainer.updates),
         }
         try:
-            save_policy(self._directory / POLICY, trainer.actors(), metadata)
+            save_policy(self._directory / name, trainer.actors(), metadata)
         except PolicyError as error:
             log(f"ALARM: {error}")
             return str(error)

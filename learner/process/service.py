@@ -25,7 +25,7 @@ from eia_sec.common.transport.admission import AdmissionSource
 from eia_sec.common.transport.bus import Bus
 from eia_sec.learner.checkpoint.compaction import HistoryCompaction
 from eia_sec.learner.checkpoint.recovery import last_epoch, recover_losses
-from eia_sec.learner.checkpoint.storage import RunStorage
+from eia_sec.learner.checkpoint.storage import UNTRAINED, RunStorage
 from eia_sec.learner.group.process_group import Order, ProcessGroup
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.ledger import Ledger
@@ -124,8 +124,10 @@ class Learner:
         """Resume from the newest checkpoint if requested; return the ledger and the seconds that the run has taken."""
         ledger, resume, directory = Ledger(), self._options.resume, self._options.run_dir
         elapsed, epoch = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
-        if not epoch and (start := self._options.start()):
-            self.trainer.begin_with(start)
+        if not epoch:
+            if start := self._options.start():
+                self.trainer.begin_with(start)
+            self._storage.write_policy(self.trainer, UNTRAINED)
         self._history = History(directory / HISTORY if directory else None)
         self._epoch = next_epoch(max(epoch, last_epoch(self._history.before)))
         recover_losses(self._history, ledger, self._epoch, resumed=resume)

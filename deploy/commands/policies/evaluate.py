@@ -22,7 +22,8 @@ from eia_sec.deploy.exit_codes import DONE
 from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from eia_sec.deploy.local.served_environments import reached, when_served
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
-from eia_sec.deploy.reports.comparison_tables import comparison_table
+from eia_sec.deploy.progress import part, progress
+from eia_sec.deploy.reports.comparison_tables import comparison_table, scenario_word
 from eia_sec.rollout.envs.base import Reach
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run
 from eia_sec.rollout.heuristics.registry import RELAYS, TASKS
@@ -81,7 +82,7 @@ def command(arguments: Sequence[str]) -> int:
         sys.stdout.write(json.dumps({**first, **sampled, **against}, indent=2) + "\n")
     else:
         console = Console(markup=False, highlight=False)
-        console.print(comparison_table(found))
+        console.print(comparison_table(found, scenario_word(configuration_of(options))))
         if options.against is not None:
             console.print(difference(found[0], found[-1]), soft_wrap=True)
     return DONE
@@ -123,10 +124,11 @@ def evaluations(arguments: EvaluateArguments) -> list[Evaluation]:
         policies[f"{shown}, sampled"] = SampledPolicy(actors)
     if arguments.against is not None:
         policies[f"against {arguments.against.name}"] = run_policy(_policy_in(arguments.against), config)
-    with _reach(arguments, config) as reach:
+    episodes = arguments.episodes
+    with _reach(arguments, config) as reach, progress("evaluating") as tell:
         return [
-            evaluate_run(config, policy, farms, arguments.episodes, name=name, reach=reach)
-            for name, policy in policies.items()
+            evaluate_run(config, policy, farms, episodes, name=name, reach=reach, tell=part(tell, done, len(policies)))
+            for done, (name, policy) in enumerate(policies.items())
         ]
 
 

@@ -159,6 +159,7 @@ LINKS = (
     "config.toml.new",
     "metrics.jsonl",
     "policy.safetensors",
+    "untrained.safetensors",
     "checkpoints",
     "history",
     "history/learner.jsonl",

@@ -11,7 +11,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.farm import EPISODE_METRICS, METRIC_NAMES, farm_environment
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
-from eia_sec.deploy.reports.comparison_tables import comparison_markdown, comparison_table
+from eia_sec.deploy.reports.comparison_tables import comparison_table
 from eia_sec.deploy.reports.plots import (
     COLOURS,
     comparison_figure,
@@ -21,8 +21,6 @@ from eia_sec.deploy.reports.plots import (
 )
 from eia_sec.rollout.evaluation import Evaluation, Score, Trajectory
 from eia_sec.rollout.sim.stations import station_places
-
-COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
 
 
 def metrics(count=40):
@@ -126,44 +124,42 @@ def test_map_shows_stations_areas_and_zones(trajectory):
 def test_table_keeps_numbers_whole_beside_a_long_path():
     """In a terminal of 80 columns the path of a policy goes over several lines, and no cell is cut."""
     console, path = Console(file=io.StringIO(), width=80), "runs/" + 4 * "a-long-name/" + "policy.safetensors"
-    console.print(comparison_table([evaluation(path, 901.0)]))
+    console.print(comparison_table([evaluation(path, 901.0)], "farm"))
     text = console.file.getvalue()
     assert "\u2026" not in text
     assert {"901", "-120", "1500", "1300", "1.23", "2.35"} <= set(text.split())
-    assert path in "".join(line.split(" ")[0] for line in text.splitlines())
+    heading, _, _ = text.partition("reward per agent")
+    assert path in "".join(heading.replace("mean per episode", "").split()).partition("each")[2]
 
 
-def test_table_lists_policies_by_reward():
-    """The best policy comes first, with every column filled, in a terminal of 80 columns."""
+def test_table_names_every_row_with_its_unit():
+    """Types by their whole names, metrics with units, policies in the order given, in a terminal of 80 columns."""
     console = Console(file=io.StringIO(), width=80)
-    console.print(comparison_table([evaluation("lawnmower", 895.2), evaluation("EIA-SEC (this run)", 901.0)]))
-    text = console.file.getvalue()
-    assert text.index("EIA-SEC (this run)") < text.index("lawnmower")
-    assert "2 farms, 1 episode each" in text
-    for cell in (
-        *COLUMNS[:-1],
-        "energy",
-        "kJ",
-        "895",
-        "901",
-        "-120",
-        "1500",
-        "1300",
-        "1.23",
-        "2.35",
-        "0.2",
-        "1.0",
-        "12",
-    ):
-        assert cell in text
+    policies = [evaluation("lawnmower", 895.2), evaluation("EIA-SEC (this run)", 901.0)]
+    console.print(comparison_table(policies, "farm"))
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    assert " ".join(lines[0]) == "2 farms (1000 to 1001), 1 episode each"
+    assert lines[1] == ["mean", "per", "episode", "lawnmower", "EIA-SEC", "(this", "run)"]
+    assert lines[3:] == [
+        ["reward", "per", "agent", "895", "901"],
+        ["communication", "-120", "-120"],
+        ["monitoring", "1500", "1500"],
+        ["collection", "1300", "1300"],
+        ["AoI,", "units", "1.23", "1.23"],
+        ["VDF,", "units", "2.35", "2.35"],
+        ["collisions,", "UAV", "steps", "0.2", "0.2"],
+        ["boundary,", "UAV", "steps", "1.0", "1.0"],
+        ["energy,", "kJ", "12", "12"],
+    ]
 
 
-def test_other_environments_have_their_own_columns():
+def test_other_environments_have_their_own_rows():
     """Types by their names, small rewards with decimals, and the length of episodes where there are no farm metrics."""
     runners = TeamSpec((GroupSpec("runner", 1, 2, 2), GroupSpec("chaser", 1, 2, 2)))
     score = Score(-1.234, {"runner": -1.0, "chaser": -2.5}, 25.0, {})
-    text = comparison_markdown(
-        [Evaluation("random", (1, 2), 1, score, (score, score), EnvironmentSpec(runners, (25, 25)))]
-    )
-    assert text.splitlines()[0] == "| policy | reward | runner | chaser | steps |"
-    assert text.splitlines()[2] == "| random | -1.23 | -1.00 | -2.50 | 25 |"
+    console = Console(file=io.StringIO(), width=80)
+    found = Evaluation("random", (1,), 2, score, (score,), EnvironmentSpec(runners, (25, 25)))
+    console.print(comparison_table([found], "scenario"))
+    lines = [" ".join(line.split()) for line in console.file.getvalue().splitlines()]
+    assert lines[0] == "1 scenario (1), 2 episodes each"
+    assert lines[3:] == ["reward per agent -1.23", "runner -1.00", "chaser -2.50", "length, steps 25"]
