@@ -15,21 +15,21 @@ load torch for it.
 import functools
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
-from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from eia_sec.common.callbacks import Callback
 from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, AlgorithmConfig, IppoConfig
+from eia_sec.common.config.algorithms.base import Options, named
 from eia_sec.common.config.algorithms.network import NETWORK_CONFIGS, NetworkConfig
 from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.plugin_names import LOADED, PluginNames
 from eia_sec.common.errors import PluginError
 from eia_sec.common.names import is_name
 
-Options = TypeVar("Options", bound=AlgorithmConfig | NetworkConfig)
 GROUP: Final = "eia_sec.plugins"
 """Group of entry points that name plug-ins."""
 MEMBER: Final = "plugin"
@@ -348,14 +348,7 @@ def _options(what: str, name: str, options: Any, base: type[Options], wanted: st
         )
     if missing := [each.name for each in fields(options) if each.name != "name" and not _has_default(each)]:
         raise PluginError(f"{what}: the option {missing[0]} of {options.__qualname__} has no default.")
-    named = make_dataclass(
-        options.__name__,
-        [("name", Literal[name], name)],
-        bases=(options,),
-        frozen=True,
-        namespace={"__module__": options.__module__, "__doc__": options.__doc__},
-    )
-    return cast(type[Options], named)
+    return named(options, name)
 
 
 def _require_plain(what: str, options: type[NetworkConfig], found: type[NetworkConfig]) -> None:

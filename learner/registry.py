@@ -1,40 +1,32 @@
-"""Every algorithm by its name. To add one, write its file and add a line here and in `eia_sec.common.config`.
+"""The classes of all algorithms by their names, as `eia_sec.common.config.algorithms` registers them.
 
 Those of plug-ins are found here as well. An exception in a method of theirs becomes one sentence that names plug-in,
 class and method.
 """
 
+import pkgutil
 from typing import Any, Final
 
 from torch import Tensor
 
 from eia_sec.common import plugins
-from eia_sec.common.config import AlgorithmConfig, OnPolicyConfig
+from eia_sec.common.config.algorithms import ALGORITHMS, AlgorithmConfig, OffPolicyConfig, OnPolicyConfig
 from eia_sec.common.errors import PluginError
 from eia_sec.learner.off_policy.algorithm import Algorithm
-from eia_sec.learner.off_policy.eia_sec import EiaSec
-from eia_sec.learner.off_policy.maddpg import Maddpg
-from eia_sec.learner.off_policy.masac import Masac
-from eia_sec.learner.off_policy.matd3 import Matd3
-from eia_sec.learner.on_policy.eia_ppo import EiaPpo
-from eia_sec.learner.on_policy.ippo import Ippo
-from eia_sec.learner.on_policy.mappo import Mappo
 from eia_sec.learner.on_policy.ppo import ActorLoss, Ppo
 from eia_sec.learner.on_policy.values import GroupValue
 
-OFF_POLICY: Final[dict[str, type[Algorithm[Any]]]] = {
-    "eia-sec": EiaSec,
-    "maddpg": Maddpg,
-    "matd3": Matd3,
-    "masac": Masac,
-}
-"""Algorithms that learn from a replay buffer, by `algorithm.name`."""
-ON_POLICY: Final[dict[str, type[Ppo]]] = {
-    "ippo": Ippo,
-    "mappo": Mappo,
-    "eia-ppo": EiaPpo,
-}
-"""Algorithms that learn in iterations; `eia_sec.common.config.ALGORITHM_CONFIGS` has the options of both families."""
+
+def _learners(family: type[AlgorithmConfig]) -> dict[str, Any]:
+    """Return the classes of the package's algorithms whose options are of a family."""
+    own = {name: found for name, found in ALGORITHMS.items() if issubclass(found.options, family)}
+    return {name: pkgutil.resolve_name(found.learner) for name, found in own.items()}
+
+
+OFF_POLICY: Final[dict[str, type[Algorithm[Any]]]] = _learners(OffPolicyConfig)
+"""Algorithms of this package that learn from a replay buffer, by `algorithm.name`."""
+ON_POLICY: Final[dict[str, type[Ppo]]] = _learners(OnPolicyConfig)
+"""Algorithms of this package that learn in iterations, by `algorithm.name`."""
 
 RETURNED: Final[dict[str, tuple[type, ...]]] = {
     "value_function": (GroupValue,),

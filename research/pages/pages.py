@@ -10,6 +10,7 @@ from typing import Final
 from eia_sec.deploy.cli import COMMANDS
 from eia_sec.deploy.reports.farm_plots import draw_densities
 from research.pages import (
+    algorithm_tables,
     environment_protocol_tables,
     environment_tables,
     incidents,
@@ -52,6 +53,10 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "docs/how-to/remote_environment.md": _measured("served"),
     "docs/how-to/vehicles.md": _measured("fly"),
     "docs/how-to/watch.md": _measured("watch"),
+    "docs/reference/algorithms.md": {
+        "off-policy": _declared(algorithm_tables.off_policy),
+        "on-policy": _declared(algorithm_tables.on_policy),
+    },
     "docs/reference/commands.md": {"commands": _declared(commands_table)},
     "docs/reference/configuration.md": {"configuration": _declared(configuration_tables)},
     "docs/reference/environment.md": environment_tables.BLOCKS,

@@ -1,15 +1,14 @@
-"""The algorithms: one configuration class for each, registered in ALGORITHM_CONFIGS.
+"""The algorithms, each a line of ALGORITHMS: its name, its learner and the class of its options.
 
-`algorithm.name` selects the class. A class has the options that its algorithm reads and names in `sections` the other
-sections that it reads, so that an option without effect is refused (`eia_sec.common.config.effect`). To add an
-algorithm, write its class and add a line to ALGORITHM_CONFIGS. Equations are in docs/reference/algorithms.md, readings
-A4 to A12 in docs/explanation/method.md.
+`algorithm.name` selects the line. A class of options has those that its algorithm reads and names in `sections` the
+other sections that it reads, so that an option without effect is refused (`eia_sec.common.config.effect`). Equations
+are in docs/reference/algorithms.md, readings A4 to A12 in docs/explanation/method.md.
 """
 
 from dataclasses import fields
-from typing import Final
+from typing import Final, NamedTuple
 
-from eia_sec.common.config.algorithms.base import AlgorithmConfig
+from eia_sec.common.config.algorithms.base import AlgorithmConfig, named
 from eia_sec.common.config.algorithms.off_policy import (
     BaselineConfig,
     EiaSecConfig,
@@ -22,6 +21,7 @@ from eia_sec.common.config.algorithms.on_policy import EiaPpoConfig, IppoConfig,
 from eia_sec.common.errors import ConfigError
 
 __all__ = [
+    "ALGORITHMS",
     "ALGORITHM_CONFIGS",
     "OPTIONAL_SECTIONS",
     "AlgorithmConfig",
@@ -39,16 +39,33 @@ __all__ = [
     "switched",
 ]
 
-ALGORITHM_CONFIGS: Final[dict[str, type[AlgorithmConfig]]] = {
-    "eia-sec": EiaSecConfig,
-    "maddpg": MaddpgConfig,
-    "matd3": Matd3Config,
-    "masac": MasacConfig,
-    "ippo": IppoConfig,
-    "mappo": MappoConfig,
-    "eia-ppo": EiaPpoConfig,
+
+class RegisteredAlgorithm(NamedTuple):
+    """An algorithm of this package.
+
+    Attributes:
+        learner: module:name of its class. Only the learner imports it, because it loads torch.
+        options: the class of its options. One that has no options of its own takes those of another algorithm.
+    """
+
+    learner: str
+    options: type[AlgorithmConfig]
+
+
+ALGORITHMS: Final[dict[str, RegisteredAlgorithm]] = {
+    "eia-sec": RegisteredAlgorithm("eia_sec.learner.off_policy.eia_sec:EiaSec", EiaSecConfig),
+    "maddpg": RegisteredAlgorithm("eia_sec.learner.off_policy.maddpg:Maddpg", MaddpgConfig),
+    "matd3": RegisteredAlgorithm("eia_sec.learner.off_policy.matd3:Matd3", Matd3Config),
+    "masac": RegisteredAlgorithm("eia_sec.learner.off_policy.masac:Masac", MasacConfig),
+    "ippo": RegisteredAlgorithm("eia_sec.learner.on_policy.ippo:Ippo", IppoConfig),
+    "mappo": RegisteredAlgorithm("eia_sec.learner.on_policy.mappo:Mappo", MappoConfig),
+    "eia-ppo": RegisteredAlgorithm("eia_sec.learner.on_policy.eia_ppo:EiaPpo", EiaPpoConfig),
 }
-"""The configuration class of every algorithm by `algorithm.name`; `learner.registry` has the learners."""
+"""The algorithms of this package by `algorithm.name`. To add one, write its file and add a line here."""
+ALGORITHM_CONFIGS: Final[dict[str, type[AlgorithmConfig]]] = {
+    name: named(found.options, name) for name, found in ALGORITHMS.items()
+}
+"""The class of every algorithm's options by `algorithm.name`; `eia_sec.common.plugins` adds those of plug-ins."""
 OPTIONAL_SECTIONS: Final = ("elite", "replay", "exploration")
 """Sections that only some algorithms read."""
 

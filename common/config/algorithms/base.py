@@ -1,9 +1,10 @@
 """What all algorithms share."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, fields, make_dataclass
+from typing import ClassVar, Literal, TypeVar, cast
 
+from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.config.checks import not_negative, positive, within
 
 
@@ -52,3 +53,20 @@ class AlgorithmConfig:
         Args:
             types: the environment's types.
         """
+
+
+Options = TypeVar("Options", bound=AlgorithmConfig | NetworkConfig)
+
+
+def named(options: type[Options], name: str) -> type[Options]:
+    """Return a class of options whose `name` is this one: the class itself, or one derived from it."""
+    if next(field for field in fields(options) if field.name == "name").default == name:
+        return options
+    derived = make_dataclass(
+        options.__name__,
+        [("name", Literal[name], name)],
+        bases=(options,),
+        frozen=True,
+        namespace={"__module__": options.__module__, "__doc__": options.__doc__},
+    )
+    return cast(type[Options], derived)

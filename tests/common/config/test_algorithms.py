@@ -10,6 +10,8 @@ from eia_sec.common.config.algorithms import (
     OPTIONAL_SECTIONS,
     AlgorithmConfig,
     BaselineConfig,
+    EiaPpoConfig,
+    EiaSecConfig,
     OffPolicyConfig,
     OnPolicyConfig,
     switched,
@@ -59,20 +61,23 @@ def test_sections_that_nobody_reads_make_no_difference():
     assert "elite.cycle: 10 -> none" in differences(imitating, found[0])
 
 
-def named(family):
-    """Return the names of a family's algorithms as messages list them."""
-    return ", ".join(name for name, config in ALGORITHM_CONFIGS.items() if issubclass(config, family))
+def named(*families):
+    """Return the names of families' algorithms as messages list them."""
+    return ", ".join(name for name, config in ALGORITHM_CONFIGS.items() if issubclass(config, families))
 
 
 REFUSED = [
-    ("[algorithm]\ntemperature = 2.0", "algorithm.temperature has no effect with eia-sec; it is an option of masac."),
+    (
+        "[algorithm]\ntemperature = 2.0",
+        f"algorithm.temperature has no effect with eia-sec; it is an option of {named(MasacConfig)}.",
+    ),
     (
         '[algorithm]\nname = "maddpg"\nensemble = false',
-        "algorithm.ensemble has no effect with maddpg; it is an option of eia-sec, eia-ppo.",
+        f"algorithm.ensemble has no effect with maddpg; it is an option of {named(EiaSecConfig, EiaPpoConfig)}.",
     ),
     (
         '[algorithm]\nname = "masac"\nactor_delay = 3',
-        "algorithm.actor_delay has no effect with masac; it is an option of matd3.",
+        f"algorithm.actor_delay has no effect with masac; it is an option of {named(Matd3Config)}.",
     ),
     (
         "algorithm.others = 'team'",
@@ -80,7 +85,7 @@ REFUSED = [
     ),
     (
         '[elite]\ncycle = 4\n[algorithm]\nname = "matd3"',
-        "elite.cycle has no effect with matd3; it is an option of eia-sec, eia-ppo.",
+        f"elite.cycle has no effect with matd3; it is an option of {named(EiaSecConfig, EiaPpoConfig)}.",
     ),
 ]
 
@@ -97,7 +102,7 @@ EIA_SEC = ["--preset", "eia-sec"]
 LINES = [
     (
         [*EIA_SEC, "--algorithm.temperature", "2"],
-        "algorithm.temperature has no effect with eia-sec; it is an option of masac.",
+        f"algorithm.temperature has no effect with eia-sec; it is an option of {named(MasacConfig)}.",
     ),
     (
         ["--replay.capacity", "5000"],
@@ -105,11 +110,11 @@ LINES = [
     ),
     (
         ["--algorithm=masac", "--algorithm.no-ensemble"],
-        "algorithm.ensemble has no effect with masac; it is an option of eia-sec, eia-ppo.",
+        f"algorithm.ensemble has no effect with masac; it is an option of {named(EiaSecConfig, EiaPpoConfig)}.",
     ),
     (
         ["--algorithm", "matd3", "--elite.cycle", "4"],
-        "elite.cycle has no effect with matd3; it is an option of eia-sec, eia-ppo.",
+        f"elite.cycle has no effect with matd3; it is an option of {named(EiaSecConfig, EiaPpoConfig)}.",
     ),
     (
         [*EIA_SEC, "--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],

@@ -36,11 +36,15 @@ def critics_of(engine, part):
 def test_fifty_updates_equal_the_loop_over_agents(name, option):
     """Fifty updates end at the parameters of the loop over agents, by torch and on one core and three."""
     team = UNEVEN if option == "apart" else TEAM
-    config = variant(BASE, name, **OPTIONS[option])
+    assert_equal_to_the_loop(variant(BASE, name, **OPTIONS[option]), team, ORACLES[name])
+
+
+def assert_equal_to_the_loop(config, team, oracle_class):
+    """Hold every network after fifty updates against an oracle's, by torch and on one core and three."""
     engines = [Engine(config, team, 3, dtype=torch.float64, cores=cores) for cores in (1, 0, 3)]
     method, noise = engines[0].algorithm, stream(3, NOISE)
     actors = method.actors.networks
-    oracle = ORACLES[name](config, team, stacks_of(actors), critics_of(engines[0], "networks"))
+    oracle = oracle_class(config, team, stacks_of(actors), critics_of(engines[0], "networks"))
     start = actors.flat.detach().clone()
     for batch in batches(team, config, 50):
         drawn = noise.standard_normal((method.noise_blocks, config.batch * team.action_size), np.float32)

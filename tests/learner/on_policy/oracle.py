@@ -240,9 +240,12 @@ class Oracle:
         logratio = log_probability - sent
         ratio, scale = logratio.exp(), {"b": 0.25}.get(agent.group.name, 1.0)
         kl[agent.group.name].append(float(((ratio - 1) - logratio).mean().detach()))
-        unclipped = -advantage * ratio
-        clipped = -advantage * torch.clamp(ratio, 1 - self.config.clip, 1 + self.config.clip)
-        return loss + torch.max(unclipped, clipped).mean() - weight * scale * entropy.mean()
+        return loss - self.surrogate(ratio, advantage).mean() - weight * scale * entropy.mean()
+
+    def surrogate(self, ratio: Tensor, advantage: Tensor) -> Tensor:
+        """Return what the actor maximises besides its entropy, of each row."""
+        clipped = torch.clamp(ratio, 1 - self.config.clip, 1 + self.config.clip)
+        return torch.min(advantage * ratio, advantage * clipped)
 
     def _learnt(self, member: int, members: int, rows: int) -> Any:
         """Return the places in a minibatch from which a member of an ensemble learns."""

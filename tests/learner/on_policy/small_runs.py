@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import EiaPpoConfig, IppoConfig, MappoConfig, OnPolicyConfig, RunConfig
+from eia_sec.common.config import ALGORITHM_CONFIGS, OnPolicyConfig, RunConfig
 from eia_sec.common.team import Float32, GroupSpec, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 TEAM = TeamSpec((GroupSpec("a", 2, 8, 2, choices=(2, 3), masked=True), GroupSpec("b", 3, 2, 2)))
 """Type a chooses one of two and one of three options, some of them illegal; type b has continuous actions."""
 OPTIONS = 5
-ALGORITHMS: dict[str, type[OnPolicyConfig]] = {"ippo": IppoConfig, "mappo": MappoConfig, "eia-ppo": EiaPpoConfig}
+ALGORITHMS = {name: kind for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, OnPolicyConfig)}
 TINY: dict[str, Any] = {
     "hidden": 8,
     "objective": "ppo",

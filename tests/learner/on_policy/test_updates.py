@@ -32,11 +32,11 @@ CASES = {
 }
 
 
-def iterate(name, options, iterations=1):
+def iterate(name, options, iterations=1, oracle_class=Oracle):
     """Return a trainer and an oracle that have learned from the same iterations."""
     config = configured(name, **options)
     trainer = OnPolicyTrainer(config, TEAM)
-    oracle = Oracle(config.on_policy, TEAM, config.seed, trainer.state()[0])
+    oracle = oracle_class(config.on_policy, TEAM, config.seed, trainer.state()[0])
     for number in range(iterations):
         behaviour = moved(trainer.actors(), 0.1, np.random.default_rng(number))
         experience = chunk(behaviour, number, ENDS, episodes=2)
