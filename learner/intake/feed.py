@@ -1,13 +1,12 @@
-"""Moves accepted chunks from the receiver into replay, each once, together with its ledger."""
+"""Waits for accepted chunks, and hands each on once, together with its ledger."""
 
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final
 
 from eia_sec.common.clock import monotonic
 from eia_sec.common.loops import Loop
 from eia_sec.common.protocol.messages import ChunkAck
-from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.learner.intake.arrival import Arrival
 from eia_sec.learner.intake.ledger import LedgerSnapshot
 from eia_sec.learner.intake.limits import DRAINED_CHUNKS
@@ -23,13 +22,13 @@ LAG_WEIGHT: Final = 0.05
 
 
 class ExperienceFeed:
-    """Moves accepted chunks from the receiver's queue into the trainer; for one thread.
+    """Takes accepted chunks from the receiver's queue; for one thread.
 
     Args:
         receiver: where chunks arrive.
         trainer: where they go.
         ledger: the ledger of the chunks that are already in the trainer.
-        on_episodes: called with the episodes that finished in a chunk, after it was absorbed.
+        absorb: puts a chunk into the trainer.
 
     Attributes:
         ledger: the ledger of exactly those chunks that the trainer holds; a checkpoint needs it.
@@ -40,9 +39,9 @@ class ExperienceFeed:
         receiver: Receiver,
         trainer: Trainer,
         ledger: LedgerSnapshot,
-        on_episodes: Callable[[Sequence[EpisodeSummary]], None],
+        absorb: Callable[[Arrival], None],
     ) -> None:
-        self._receiver, self._trainer, self._on_episodes = receiver, trainer, on_episodes
+        self._receiver, self._trainer, self._absorb = receiver, trainer, absorb
         self.ledger = ledger
         self._lag = 0.0
 
@@ -50,7 +49,7 @@ class ExperienceFeed:
         """Absorb the chunks that have arrived, for as long as `may_absorb` returns True."""
         while may_absorb():
             try:
-                self._absorb(self._receiver.arrivals.get_nowait())
+                self._take(self._receiver.arrivals.get_nowait())
             except queue.Empty:
                 return
 
@@ -62,7 +61,7 @@ class ExperienceFeed:
             arrival = self._receiver.arrivals.get_nowait()
         except queue.Empty:
             return None
-        self._absorb(arrival)
+        self._take(arrival)
         return arrival
 
     def drain(self, between: Callable[[], None]) -> Loop[None]:
@@ -86,7 +85,7 @@ class ExperienceFeed:
         self._receiver.close()
         while not self._receiver.arrivals.empty():
             arrival = self._receiver.arrivals.get_nowait()
-            self._absorb(arrival)
+            self._take(arrival)
             self.answer(arrival)
 
     def answer(self, arrival: Arrival) -> None:
@@ -110,10 +109,7 @@ class ExperienceFeed:
         """Return one sentence for each worker that is blocked."""
         return self._receiver.peer_penalties.alarms()
 
-    def _absorb(self, arrival: Arrival) -> None:
-        trainer, sender = self._trainer, arrival.sender
-        trainer.absorb(arrival.chunk, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
+    def _take(self, arrival: Arrival) -> None:
+        self._absorb(arrival)
         self.ledger = arrival.ledger
-        self._lag += LAG_WEIGHT * (trainer.version - sender.version - self._lag)
-        if arrival.chunk.episodes:
-            self._on_episodes(arrival.chunk.episodes)
+        self._lag += LAG_WEIGHT * (self._trainer.version - arrival.sender.version - self._lag)

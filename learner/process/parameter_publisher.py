@@ -1,5 +1,6 @@
 """Publishes the learner's parameters and its progress."""
 
+from eia_sec.common.actors import TeamActors
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
 from eia_sec.common.transport.bus import Bus
@@ -27,11 +28,10 @@ class ParameterPublisher:
         """How often the actors have changed since they were last published."""
         return self._trainer.changes - self._published
 
-    def publish_parameters(self) -> None:
-        """Publish the present actors under the trainer's present version."""
+    def publish_parameters(self, actors: TeamActors) -> None:
+        """Publish the trainer's present actors under its present version."""
         trainer = self._trainer
         self._published = trainer.changes
-        actors = trainer.actors()
         message = ParametersMessage(
             epoch=self._epoch,
             version=trainer.version,

@@ -27,6 +27,7 @@ from eia_sec.learner.checkpoint.compaction import HistoryCompaction
 from eia_sec.learner.checkpoint.recovery import last_epoch, recover_losses
 from eia_sec.learner.checkpoint.storage import UNTRAINED, RunStorage
 from eia_sec.learner.group.process_group import Order, ProcessGroup
+from eia_sec.learner.intake.arrival import Arrival
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
@@ -154,7 +155,7 @@ class Learner:
         resumed = self._options.resume
         self.receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version, resumed=resumed)
         self._open_iteration()
-        self._feed = ExperienceFeed(self.receiver, self.trainer, absorbed, self._reporter.log_episodes)
+        self._feed = ExperienceFeed(self.receiver, self.trainer, absorbed, self._absorb)
 
     def run(self, stop: StopSignal) -> Loop[bool]:
         """Return the loop that trains until the run's episodes are done, a signal arrives or a command asks to drain.
@@ -198,6 +199,13 @@ class Learner:
             yield from self._wait_for_imitation()
         self.receiver.require_version(self.trainer.version)
         self._feed.answer(arrival)
+
+    def _absorb(self, arrival: Arrival) -> None:
+        """Put an accepted chunk into the trainer."""
+        chunk, sender = arrival.chunk, arrival.sender
+        self.trainer.absorb(chunk, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
+        if chunk.episodes:
+            self._reporter.log_episodes(chunk.episodes)
 
     def _open_iteration(self) -> None:
         """Let the receiver take in chunks for the iteration that they will be learned from in."""
@@ -263,7 +271,7 @@ class Learner:
             version = self.trainer.next_version()
             self.receiver.room.set_version(version, updating=updating, imitated=imitated)
             try:
-                self._publisher.publish_parameters()
+                self._publisher.publish_parameters(self.trainer.actors())
             except SchemaError as error:
                 raise self._diverged(error) from error
             self._publish_progress()
