@@ -10,6 +10,12 @@ iteration's updates begin, L more:
 Every worker that has its answer flies one chunk of c steps. While budget >= 2 c workers, all of them may fly on
 without waiting for answers. Below that, a worker flies its next chunk when its answer has come, and answers are held
 back, first come first served, while the chunks that are being flown fill the budget.
+
+Several workers share an iteration, two chunks each: they are asked for chunks of
+
+    c = S / (2 workers)        at most a whole chunk, and at least `least_steps`
+
+Chunks stay whole where shorter ones teach worse: with memory, and where hindsight pays visits by later ones.
 """
 
 import statistics
@@ -17,7 +23,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from eia_sec.common.clock import monotonic
 from eia_sec.common.protocol.codec import NO_LIMIT
@@ -35,8 +41,17 @@ STALL_MOST: Final = 30.0
 RECENT: Final = 64
 """Flights from which the typical one is found."""
 
-Reply = Callable[[int, int], None]
-"""Sends an answer, given the parameter version that its worker must hold, and the steps that it may have under way."""
+
+class Terms(NamedTuple):
+    """What a worker is asked for; the fields are those of `ChunkAck`."""
+
+    required_version: int = 0
+    window: int = NO_LIMIT
+    chunk_steps: int = NO_LIMIT
+
+
+Reply = Callable[[Terms], None]
+"""Sends an answer."""
 Answer = Callable[[], None]
 
 
@@ -50,6 +65,7 @@ class _Held:
 class _Flight:
     version: int
     began: float
+    steps: int
 
 
 class IterationRoom:
@@ -65,6 +81,7 @@ class IterationRoom:
         clock: returns monotonic seconds.
 
     Attributes:
+        present: workers that are there, whether they have delivered yet or not; set from outside.
         given_up: chunks that were no longer waited for, because nobody delivered for too long.
     """
 
@@ -79,7 +96,7 @@ class IterationRoom:
         self._held: list[_Held] = []
         self._seen, self._longest = clock(), 0.0
         self._recent: deque[float] = deque(maxlen=RECENT)
-        self.given_up = 0
+        self.present = self.given_up = 0
 
     def open(self, iteration: int, steps: int, *, updating: bool) -> None:
         """Let an iteration take in its steps; a repeated call opens nothing again.
@@ -132,7 +149,7 @@ class IterationRoom:
             self._land(worker)
             others = [held for held in self._held if held.worker != worker]
             if len(others) < len(self._held):
-                self._held, answers = others, [lambda: reply(0, 0)]
+                self._held, answers = others, [lambda: reply(Terms(window=0))]
             elif not others and (self._steps is None or self._free() > 0):
                 answers = [self._grant(worker, reply, self._oldest())]
             else:
@@ -154,10 +171,10 @@ class IterationRoom:
             return self._steps
 
     @property
-    def window(self) -> int:
-        """Environment steps that a worker may have under way; NO_LIMIT where nothing limits them."""
+    def terms(self) -> Terms:
+        """What a worker is asked for that needs no newer version."""
         with self._gate:
-            return self._window()
+            return self._terms(0)
 
     def is_open(self) -> bool:
         """Return whether a chunk may be taken in now; with the gate."""
@@ -193,9 +210,9 @@ class IterationRoom:
         more = (self._limits.most_lag or 0) - self._ahead
         return 0 if more < 0 else max(0, self._steps or 0) + more * self._limits.iteration_steps
 
-    def _flyers(self) -> int:
-        """Return the number of workers that fly a chunk which is not too old by now."""
-        return sum(self._age(flight.version) <= (self._limits.most_lag or 0) for flight in self._flying.values())
+    def _flyers(self) -> list[_Flight]:
+        """Return the chunks that are being flown and not too old by now."""
+        return [f for f in self._flying.values() if self._age(f.version) <= (self._limits.most_lag or 0)]
 
     def _land(self, worker: str) -> None:
         """Note that a worker flies no longer."""
@@ -206,21 +223,28 @@ class IterationRoom:
 
     def _free(self) -> int:
         """Return the steps of the budget that nobody flies for."""
-        return self._budget() - self._flyers() * self._limits.chunk_steps
+        return self._budget() - sum(flight.steps for flight in self._flyers())
 
-    def _window(self) -> int:
+    def _chunk(self, workers: int) -> int:
+        """Return the environment steps of the next chunk of each of so many workers."""
+        limits, workers = self._limits, max(self.present, workers)
+        if workers < 2 or limits.least_steps is None:
+            return limits.chunk_steps
+        return min(limits.chunk_steps, max(limits.least_steps, limits.iteration_steps // (2 * workers)))
+
+    def _terms(self, required: int) -> Terms:
         if self._steps is None:
-            return NO_LIMIT
-        budget, chunk = self._budget(), self._limits.chunk_steps
-        workers = len(self._flying) + len(self._held)
+            return Terms()
+        workers = max(self.present, len(self._flying) + len(self._held))
+        budget, chunk = self._budget(), self._chunk(workers)
         roomy = workers > 0 and budget >= 2 * chunk * workers
-        return budget // workers - chunk if roomy else min(1, budget)
+        return Terms(required, budget // workers - chunk if roomy else min(1, budget), chunk)
 
     def _release(self) -> list[Answer]:
         """Return the held answers that may go out now."""
         found = []
         if self._held and self._budget() > 0 and self._clock() - self._seen > self._patience():
-            self.given_up += self._flyers()
+            self.given_up += len(self._flyers())
             self._flying.clear()
         while self._held and (self._steps is None or self._free() > 0):
             held = self._held.pop(0)
@@ -235,11 +259,12 @@ class IterationRoom:
 
     def _grant(self, worker: str, reply: Reply, required: int) -> Answer:
         if self._steps is None:
-            return lambda: reply(0, NO_LIMIT)
+            return lambda: reply(Terms())
         self._seen = self._clock()
-        self._flying[worker] = _Flight(self._version, self._seen)
-        window = self._window()
-        return lambda: reply(max(0, required), window)
+        others = len(self._flying.keys() - {worker}) + len(self._held)
+        self._flying[worker] = _Flight(self._version, self._seen, self._chunk(others + 1))
+        terms = self._terms(max(0, required))
+        return lambda: reply(terms)
 
 
 def _send(answers: Iterable[Answer]) -> None:

@@ -7,6 +7,8 @@ from eia_sec.common.config import RunConfig
 
 ITERATION_CHUNKS: Final = 64
 """Least queue of a learner that learns on policy; it always holds the chunks of an iteration."""
+LEAST_STEPS: Final = 16
+"""Steps of each environment in the shortest chunk that workers are asked for; advantages end with their chunk."""
 DRAINED_CHUNKS: Final = 1024
 """Most chunks that a draining learner takes in; with those of two iterations they bound a checkpoint's size."""
 
@@ -19,20 +21,24 @@ class IntakeLimits:
         chunks: most chunks in the queue.
         most_lag: largest age of a chunk's policy when it is learned from, in parameter versions; None for no limit.
         iteration_steps: environment steps of an iteration (on policy).
-        chunk_steps: environment steps of a chunk.
+        chunk_steps: environment steps of a whole chunk.
+        least_steps: environment steps of the shortest chunk that workers are asked for; None for whole chunks only.
     """
 
     chunks: int
     most_lag: int | None
     iteration_steps: int = 0
     chunk_steps: int = 1
+    least_steps: int | None = None
 
     @classmethod
     def of(cls, config: RunConfig) -> "IntakeLimits":
         """Return the limits of a run."""
         chunk = config.rollout.environments * config.rollout.chunk_steps
         if config.learns_on_policy:
-            whole = config.on_policy.iteration_steps
-            chunks = max(ITERATION_CHUNKS, -(-whole // chunk))
-            return cls(chunks, config.on_policy.max_lag_versions, whole, chunk)
+            whole, least = config.on_policy.iteration_steps, None
+            if not (config.memory_size or any(config.on_policy.hindsight.values())):
+                least = config.rollout.environments * min(LEAST_STEPS, config.rollout.chunk_steps)
+            chunks = max(ITERATION_CHUNKS, -(-whole // (least or chunk)))
+            return cls(chunks, config.on_policy.max_lag_versions, whole, chunk, least)
         return cls(config.replay.intake_chunks, config.replay.max_lag_versions or None, chunk_steps=chunk)

@@ -16,7 +16,6 @@ from eia_sec.common.loops import Loop
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
 from eia_sec.common.protocol.chunk_rules import ChunkRules
-from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.frame import Data
 from eia_sec.common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from eia_sec.common.team import TeamSpec
@@ -24,7 +23,7 @@ from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.intake.arrival import Arrival, OwedAnswer
 from eia_sec.learner.intake.episode_tracker import EpisodeTracker, provable
-from eia_sec.learner.intake.iteration_room import IterationRoom
+from eia_sec.learner.intake.iteration_room import IterationRoom, Terms
 from eia_sec.learner.intake.ledger import Ledger, WorkerLedger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
@@ -322,15 +321,15 @@ class Receiver:
         expected = self.ledger.expected(sender)
         incoming.payload = b""  # the answer may be held back for long
 
-        def reply(version: int, window: int) -> None:
-            incoming.reply(ChunkAck(names, reasons, expected, version, window).encode())
+        def reply(terms: Terms) -> None:
+            incoming.reply(ChunkAck(names, reasons, expected, *terms).encode())
 
         if self._lockstep:
-            reply(0 if names[-1] == "refused" else self.required_version, NO_LIMIT)
+            reply(Terms(0 if names[-1] == "refused" else self.required_version))
         elif names[-1] in SETTLED:
             self.room.answer(sender.name, reply)
         else:
-            reply(0, self.room.window)
+            reply(self.room.terms)
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""

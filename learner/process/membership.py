@@ -28,6 +28,11 @@ class Membership:
         self.living: set[tuple[str, str]] = set()
         self.malformed = 0
 
+    @property
+    def workers(self) -> int:
+        """Return the number of workers that live now."""
+        return sum(role == "rollout" for role, _ in self.living)
+
     def update(self) -> None:
         """Log what has changed since the last call, at most ENTRIES changes and the number of the others."""
         changes = []

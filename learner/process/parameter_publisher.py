@@ -4,6 +4,7 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
 from eia_sec.common.transport.bus import Bus
+from eia_sec.learner.intake.iteration_room import Terms
 from eia_sec.learner.trainer import Trainer
 
 
@@ -46,12 +47,12 @@ class ParameterPublisher:
         )
         self._parameters.put(message.encode())
 
-    def publish_progress(self, state: str, window: int, arguments: str) -> None:
+    def publish_progress(self, state: str, terms: Terms, arguments: str) -> None:
         """Publish the trainer's counters and what the learner does.
 
         Args:
             state: training, draining or finished.
-            window: environment steps that a worker may have under way, or NO_LIMIT.
+            terms: what workers are asked for.
             arguments: those that environments have from their next episodes on, or empty.
         """
         t = self._trainer
@@ -66,7 +67,8 @@ class ParameterPublisher:
             separate_since=t.separate_since,
             reward_steps=t.rewards.steps,
             reward_sums=t.rewards.sums if t.rewards.steps else None,
-            window=window,
+            window=terms.window,
+            chunk_steps=terms.chunk_steps,
             arguments=arguments,
         )
         self._progress.put(message.encode())

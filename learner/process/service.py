@@ -232,7 +232,7 @@ class Learner:
         now, schedule = monotonic(), self._schedule
         if (schedule.publish_timer.due(now) or self.trainer.publishes_at_once) and not self._options.lockstep:
             self._publish()
-        if schedule.progress_timer.due(now) or self.receiver.room.window > self._window:
+        if schedule.progress_timer.due(now) or self.receiver.room.terms.window > self._window:
             self._publish_progress()
         if schedule.report_timer.due(now):
             self._report()
@@ -286,15 +286,17 @@ class Learner:
 
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(monotonic())
-        self._window = self.receiver.room.window
-        self._publisher.publish_progress(self._state, self._window, self._commands.arguments)
+        self._membership.update()
+        self.receiver.room.present = self._membership.workers
+        terms = self.receiver.room.terms
+        self._window = terms.window
+        self._publisher.publish_progress(self._state, terms, self._commands.arguments)
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(monotonic())
         if self._group is not None and self._state == "training":  # afterwards nothing more is learned
             self._group.order(Order.NOTHING)
         self._storage.require_same_directory()
-        self._membership.update()
         self.receiver.throttle.release()
         self._reporter.report(self._state)
         if self._state == "training":

@@ -59,11 +59,20 @@ class CollectionGate:
         self.pause_reason = self._too_old()
         return None if self.pause_reason or sender.full or self._awaits_learner() else store.actors
 
+    @property
+    def chunk_steps(self) -> int:
+        """Environment steps with which a chunk ends, if it is not whole before: several workers share an iteration."""
+        return self._newest.chunk_steps
+
+    @property
+    def _newest(self) -> LearnerLink | Sender:
+        """Where the learner's newest terms are: its answers, or what it publishes."""
+        return self._learner if self._learner.heard_at > self._sender.answered_at else self._sender
+
     def _awaits_learner(self) -> bool:
         """Return whether the learner lets nothing more be under way, or asks for newer parameters first."""
-        learner, sender = self._learner, self._sender
-        window = learner.window if learner.heard_at > sender.answered_at else sender.window
-        return window <= sender.in_flight or learner.store.version < sender.required_version
+        too_many = self._newest.window <= self._sender.in_flight
+        return too_many or self._learner.store.version < self._sender.required_version
 
     def _too_old(self) -> str:
         """Return why the actors are too old to collect with, or an empty text."""

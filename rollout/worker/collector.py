@@ -44,7 +44,7 @@ class StepObserver(Protocol):
 class Collector:
     """One worker's environments.
 
-    A chunk is `chunk_steps` steps of every environment. An episode's farm or scenario, its seed and its noise
+    A whole chunk is `chunk_steps` steps of every environment. An episode's farm or scenario, its seed and its noise
     depend only on (run seed, worker, start, environment, episode number), never on other processes.
 
     Args:

@@ -248,8 +248,8 @@ class Worker:
     def _goes_on(self) -> bool:
         """Report, and return whether the chunk that is being collected should get another step.
 
-        A chunk that may be shorter ends as soon as the learner drains or the worker should end. Any other goes on until
-        only the time is left that deliveries need.
+        A chunk that may be shorter ends once it has the steps that the learner asks for, the learner drains, or the
+        worker should end. Any other goes on until only the time is left that deliveries need.
         """
         self._report_if_due()
         if self._whole:
@@ -257,7 +257,8 @@ class Worker:
         if monotonic() - self._times.polled >= POLL_SECONDS:
             self._times.polled = monotonic()
             self._learner.poll()
-        return not self._stop and self._learner.state in COLLECTING
+        asked_for = self._collector.simulated - self._collector.environment_steps >= self._gate.chunk_steps
+        return not (asked_for or self._stop) and self._learner.state in COLLECTING
 
     def _exploration(self) -> tuple[float, bool]:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from eia_sec.learner.intake.iteration_room import IterationRoom
+from eia_sec.common.protocol.codec import NO_LIMIT
+from eia_sec.learner.intake.iteration_room import IterationRoom, Terms
 from eia_sec.learner.intake.limits import IntakeLimits
 
 TICK = 0.02
@@ -23,6 +24,7 @@ class Worker:
     version: int = 1
     required: int = 0
     window: int = 1
+    asked: int = NO_LIMIT
     answered: float = -1.0
     under_way: int = 0
     unanswered: int = 0
@@ -34,16 +36,17 @@ class Simulation:
 
     Args:
         workers: number of workers.
-        chunk: environment steps of a chunk.
+        chunk: environment steps of a whole chunk.
         iteration: environment steps of an iteration.
-        flight: seconds in which a chunk is flown.
+        flight: seconds in which a whole chunk is flown.
         update: seconds in which an iteration's updates are done.
         most_lag: L.
         gone: a worker that leaves after its first chunk.
+        least: environment steps of the shortest chunk, None for whole chunks only.
 
     Attributes:
-        accepted: chunks that are learned from.
-        refused: chunks that came too late.
+        accepted: environment steps that are learned from.
+        refused: environment steps that came too late.
     """
 
     def __init__(
@@ -55,15 +58,16 @@ class Simulation:
         update: float,
         most_lag: int = 1,
         gone: int | None = None,
+        least: int | None = None,
     ) -> None:
         self.now, self.accepted, self.refused = 0.0, 0, 0
         self.chunk, self.size, self.flight, self.update, self.gone = chunk, iteration, flight, update, gone
         self.gate = threading.Lock()
-        self.room = IterationRoom(IntakeLimits(64, most_lag, iteration, chunk), 1, self.gate, lambda: self.now)
+        self.room = IterationRoom(IntakeLimits(64, most_lag, iteration, chunk, least), 1, self.gate, lambda: self.now)
         self.workers = [Worker(str(index)) for index in range(workers)]
         self.version, self.number, self.updating = 1, 0, False
         self.steps = self.following = 0
-        self.door: list[tuple[Worker, int]] = []
+        self.door: list[tuple[Worker, int, int]] = []
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = count()
         self._open()
@@ -76,47 +80,50 @@ class Simulation:
         while self._events and self._events[0][0] < end:
             self.now, _, event = heapq.heappop(self._events)
             event()
-        return (self.accepted - before) * self.chunk / seconds
+        return (self.accepted - before) / seconds
 
     def _at(self, delay: float, event: Callable[[], None]) -> None:
         heapq.heappush(self._events, (self.now + delay, next(self._order), event))
 
     def _fly(self, worker: Worker) -> None:
-        window = self.published if self.published_at > worker.answered else worker.window
+        window, asked = worker.window, worker.asked
+        if self.published_at > worker.answered:
+            _, window, asked = self.published
         waits = window <= worker.under_way or worker.version < worker.required or worker.unanswered == 2
         if worker.flying or waits or (worker.name == str(self.gone) and worker.answered >= 0.0):
             return
-        worker.flying, version = True, worker.version
-        worker.under_way += self.chunk
-        self._at(self.flight, lambda: self._land(worker, version))
+        worker.flying, version, steps = True, worker.version, min(self.chunk, asked)
+        worker.under_way += steps
+        self._at(self.flight * steps / self.chunk, lambda: self._land(worker, version, steps))
 
-    def _land(self, worker: Worker, version: int) -> None:
+    def _land(self, worker: Worker, version: int, steps: int) -> None:
         worker.flying = False
         worker.unanswered += 1
-        self.door.append((worker, version))
+        self.door.append((worker, version, steps))
         self._receive()
         self._fly(worker)
 
     def _receive(self) -> None:
         while self.door and (self.room.steps or 0) > 0:
-            worker, version = self.door.pop(0)
+            worker, version, steps = self.door.pop(0)
             with self.gate:
                 late = self.room.refusal(version)
                 if not late:
-                    self.room.take(self.chunk)
-            self.refused += bool(late)
-            self.accepted += not late
+                    self.room.take(steps)
+            self.refused += steps if late else 0
+            self.accepted += 0 if late else steps
             if not late and self.updating:
-                self.following += self.chunk
+                self.following += steps
             elif not late:
-                self.steps += self.chunk
-            self.room.answer(worker.name, lambda v, w, worker=worker: self._answered(worker, v, w))
+                self.steps += steps
+            self.room.answer(worker.name, lambda terms, w=worker, s=steps: self._answered(w, s, terms))
             self._learn()
 
-    def _answered(self, worker: Worker, version: int, window: int) -> None:
-        worker.required, worker.window, worker.answered = version, window, self.now
+    def _answered(self, worker: Worker, steps: int, terms: Terms) -> None:
+        worker.required, worker.window, worker.asked = terms
+        worker.answered = self.now
         worker.unanswered -= 1
-        worker.under_way -= self.chunk
+        worker.under_way -= steps
         self._at(0.0, lambda: self._fly(worker))
 
     def _learn(self) -> None:
@@ -142,14 +149,14 @@ class Simulation:
             self.room.open(self.number, self.size - self.steps, updating=False)
 
     def _publish_window(self) -> None:
-        self.published, self.published_at = self.room.window, self.now
+        self.published, self.published_at = self.room.terms, self.now
         for worker in self.workers:
             self._at(0.0, lambda worker=worker: self._fly(worker))
 
     def _tick_once(self) -> None:
         self._open()
         self._receive()
-        if self.room.window > self.published or self.now - self.published_at >= PROGRESS:
+        if self.room.terms.window > self.published.window or self.now - self.published_at >= PROGRESS:
             self._publish_window()
 
     def _tick(self) -> None:

@@ -1,9 +1,11 @@
 """Who may fly for an iteration: nothing is flown that is learned from too late, and nobody waits for good."""
 
 import threading
+from dataclasses import replace
 
 import pytest
 
+from eia_sec.common.config.presets import preset
 from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.learner.intake.iteration_room import STALL_MOST, STALL_SECONDS, IterationRoom
 from eia_sec.learner.intake.limits import IntakeLimits
@@ -28,7 +30,7 @@ class Field:
         self.answers.pop(worker, None)
         with self.gate:
             self.room.take(self.chunk)
-        self.room.answer(worker, lambda version, window: self.answers.__setitem__(worker, (version, window)))
+        self.room.answer(worker, lambda terms: self.answers.__setitem__(worker, terms[:2]))
         return worker in self.answers
 
     def fill(self) -> None:
@@ -61,7 +63,7 @@ def test_many_workers_with_few_steps_fly_on_without_waiting():
     field = Field(workers=16, chunk=25, iteration=1000)
     assert all(field.land(worker) for worker in field.names)
     assert all(window >= 25 for _, window in field.answers.values())
-    assert field.room.window >= 25
+    assert field.room.terms.window >= 25
 
 
 def test_before_updates_begin_an_iteration_more_may_be_flown():
@@ -76,7 +78,7 @@ def test_strictly_on_policy_nobody_flies_during_updates():
     field = Field(workers=2, chunk=100, iteration=1000, most_lag=0)
     assert field.land("0")
     field.fill()
-    assert field.room.window == 0
+    assert field.room.terms.window == 0
     assert not field.land("0")
     field.publish()
     assert field.answers["0"][0] == 2
@@ -122,7 +124,7 @@ def test_after_a_silence_nobody_is_waited_for():
     field.fill()
     assert field.answers.pop("0")
     field.room.open(field.iteration, 1000, updating=True)
-    field.room.answer("1", lambda version, window: field.answers.__setitem__("1", (version, window)))
+    field.room.answer("1", lambda terms: field.answers.__setitem__("1", terms[:2]))
     for seconds, answered in ((0.0, False), (STALL_SECONDS - 0.1, False), (0.2, True)):
         field.now += seconds
         field.room.open(field.iteration, 1000, updating=True)
@@ -134,7 +136,7 @@ def test_a_copy_of_a_held_request_is_answered_without_leave_to_fly():
     field = Field(workers=1, chunk=1000, iteration=1000, most_lag=0)
     assert not field.land("0")
     found = []
-    field.room.answer("0", lambda version, window: found.append((version, window)))
+    field.room.answer("0", lambda terms: found.append(terms[:2]))
     assert found == [(0, 0)]
     assert not field.room.holds("0")
 
@@ -146,7 +148,7 @@ def test_without_iterations_nothing_is_limited():
     field.room.lift()
     assert field.answers == {"0": (0, NO_LIMIT)}
     assert field.land("1")
-    assert field.room.window == NO_LIMIT
+    assert field.room.terms.window == NO_LIMIT
 
 
 @pytest.mark.parametrize(
@@ -174,6 +176,36 @@ def test_nothing_is_flown_for_nothing_and_nobody_waits_longer_than_he_must(worke
     assert rate >= 0.95 * min(workers * chunk / flight, iteration / update)
 
 
+@pytest.mark.parametrize("update", [0.1, 1.5])
+@pytest.mark.parametrize("workers", [1, 2, 3, 5, 8, 12, 16])
+def test_however_many_workers_share_an_iteration_none_waits(workers, update):
+    """Two whole chunks of slow environments fill an iteration; shorter ones let every worker work."""
+    run = Simulation(workers, chunk=1000, iteration=2000, flight=20.0, update=update, least=128)
+    run.run(60.0)
+    run.refused = 0
+    assert run.run(600.0) >= 0.95 * min(workers * 1000 / 20.0, 2000 / update)
+    assert run.refused == 0
+
+
+def test_workers_that_have_not_delivered_yet_share_the_first_iteration():
+    """What is published before the first chunk comes lets all of those who are there begin with their share."""
+    limits = IntakeLimits(64, 1, 2000, 1000, 128)
+    room = IterationRoom(limits, 1, threading.Lock(), lambda: 0.0)
+    room.open(0, 2000, updating=False)
+    for present, asked in ((0, 1000), (1, 1000), (2, 500), (4, 250), (100, 128)):
+        room.present = present
+        assert room.terms.chunk_steps == asked
+
+
+def test_chunks_stay_whole_where_shorter_ones_teach_worse():
+    """Hindsight pays visits of whole episodes, and networks with memory learn from whole sequences."""
+    generic = preset("generic")
+    assert IntakeLimits.of(generic).least_steps == 16 * generic.rollout.environments
+    memory = replace(generic, algorithm=replace(generic.on_policy, memory="gru", sequence_steps=25))
+    assert IntakeLimits.of(memory).least_steps is None
+    assert IntakeLimits.of(preset("default")).least_steps is None
+
+
 def test_a_worker_that_leaves_stops_nobody():
     """With leave to fly for half of an iteration it never comes again; the others go on at their rate."""
     run = Simulation(3, 8000, 16_000, 0.5, 1.0, gone=1)
@@ -186,7 +218,7 @@ def test_one_slow_worker_does_not_stall_the_others():
 
     def ask(worker):
         field.answers.pop(worker, None)
-        field.room.answer(worker, lambda version, window: field.answers.__setitem__(worker, (version, window)))
+        field.room.answer(worker, lambda terms: field.answers.__setitem__(worker, terms[:2]))
         return worker in field.answers
 
     assert ask("slow")

@@ -161,12 +161,12 @@ def test_answers_say_how_much_may_be_under_way():
     """Without iterations nothing limits workers."""
     with opened(most_lag=0, iteration_steps=2) as (receiver, door):
         assert door.pass_on(parcel(1)).answer.window == NO_LIMIT
-        assert (receiver.room.steps, receiver.room.window) == (None, NO_LIMIT)
+        assert (receiver.room.steps, receiver.room.terms.window) == (None, NO_LIMIT)
         receiver.room.open(0, 2, updating=False)
         assert door.pass_on(parcel(2)).answer.window == 1
-        assert (receiver.room.steps, receiver.room.window) == (1, 1)
+        assert (receiver.room.steps, receiver.room.terms.window) == (1, 1)
         receiver.room.open(1, 2, updating=True)
-        assert (receiver.room.steps, receiver.room.window) == (2, 0)
+        assert (receiver.room.steps, receiver.room.terms.window) == (2, 0)
 
 
 def test_progress_without_a_limit_can_be_read():

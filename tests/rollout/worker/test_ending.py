@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import FarmConfig, IppoConfig, RunConfig
+from eia_sec.common.config import FarmConfig, IppoConfig, RolloutConfig, RunConfig
 from eia_sec.common.config.farm import WorldConfig
 from eia_sec.common.errors import BusError
 from eia_sec.common.farm import farm_team
@@ -17,11 +17,13 @@ from eia_sec.common.history.history import History, Start
 from eia_sec.common.loops import run
 from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.codec import NO_LIMIT
 from eia_sec.common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
 from eia_sec.deploy.monitor.audit import audit
 from eia_sec.rollout.worker import service
+from eia_sec.rollout.worker.collection_gate import CollectionGate
 from eia_sec.rollout.worker.evaluation_service import EvaluationService
 from eia_sec.rollout.worker.sender import Sender
 from eia_sec.rollout.worker.service import Worker, WorkerOptions
@@ -100,6 +102,7 @@ def a_collecting_worker(monkeypatch, cuts):
     worker._times.reported = clock.now
     worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
     worker._config, worker._arguments = RunConfig(), RunConfig().env.arguments
+    worker._gate = SimpleNamespace(chunk_steps=NO_LIMIT)
     worker._whole = "" if cuts else "chunks are whole"
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
@@ -108,6 +111,7 @@ def a_collecting_worker(monkeypatch, cuts):
         for step in range(100):
             clock.now += 0.25
             steps.append(step)
+            worker._collector.simulated += 16
             if step == worker.stops_at:
                 worker._stop = True
             if step == worker.drains_at:
@@ -128,6 +132,21 @@ def test_a_worker_that_ends_delivers_the_chunk_in_progress(monkeypatch, event):
     setattr(worker, event, 50)
     worker._collect(None)
     assert len(steps) == 51
+    assert "sender.offer" in calls
+
+
+@pytest.mark.parametrize(("asked", "steps_made"), [(16 * 40, 40), (16 * 40 - 5, 40), (1, 1), (16 * 1000, 100)])
+@pytest.mark.parametrize("newest", ["answer", "progress"])
+def test_a_chunk_ends_with_the_steps_that_the_learner_asks_for(monkeypatch, newest, asked, steps_made):
+    """The newest word counts, with which a chunk in progress may end; no chunk is longer than configured."""
+    worker, steps, calls = a_collecting_worker(monkeypatch, cuts=True)
+    told, other = SimpleNamespace(chunk_steps=asked), SimpleNamespace(chunk_steps=1)
+    told.heard_at = told.answered_at = 2.0
+    other.heard_at = other.answered_at = 1.0
+    sender, learner = (told, other) if newest == "answer" else (other, told)
+    worker._gate = CollectionGate(RolloutConfig(), learner, sender, lockstep=False)
+    worker._collect(None)
+    assert len(steps) == steps_made
     assert "sender.offer" in calls
 
 
