@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from eia_sec.common.errors import CallbackError
+from eia_sec.common.protocol.metrics import EPISODIC_RETURN
 
 SHOWN: Final = 200
 """Most characters of a reason that a callback gives."""
@@ -44,12 +45,12 @@ class TrainingProgress(ABC):
     @property
     @abstractmethod
     def metrics(self) -> Mapping[str, float]:
-        """Rewards, episode metrics and diagnostics by TensorBoard's names, `curves/reward/mean` for one."""
+        """Rewards, episode metrics and diagnostics by TensorBoard's names, `charts/episodic_return` for one."""
 
     @property
     def reward(self) -> float:
         """Mean reward per agent over the newest 40 episodes; not a number before the first one ends."""
-        return self.metrics.get("curves/reward/mean", float("nan"))
+        return self.metrics.get(EPISODIC_RETURN, float("nan"))
 
     @abstractmethod
     def stop(self, reason: str = "") -> None:

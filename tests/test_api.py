@@ -102,7 +102,7 @@ def test_a_class_is_trained_in_a_thread_with_the_neutral_preset():
     assert run.config.algorithm.time_limit == "bootstrap"  # as the preset generic has it
     assert (run.config.seed, run.config.steps, run.config.episodes) == (3, 160, 0)
     assert [steps for steps, *_ in noted.seen] == [40, 80, 120, 160]
-    assert noted.seen[-1][2]["curves/steps"] == 20.0
+    assert noted.seen[-1][2]["charts/episodic_length"] == 20.0
     assert noted.ended == 1
     environment = Cover()
     observations, _ = environment.reset(seed=0)
@@ -174,7 +174,7 @@ def test_the_examples_callbacks_do_what_their_page_says():
 
     class Fake(eia_sec.TrainingProgress):
         environment_steps = episodes = updates = 0
-        progress, metrics, done = 0.6, {"curves/reward/mean": -16.0}, ()
+        progress, metrics, done = 0.6, {"charts/episodic_return": -16.0}, ()
 
         def stop(self, reason=""):
             self.done = (reason,)
@@ -185,7 +185,7 @@ def test_the_examples_callbacks_do_what_their_page_says():
     bad, good = Fake(), Fake()
     Pruning().on_progress(bad)
     assert bad.done == ("no better than random actions",)
-    good.metrics = {"curves/reward/mean": -5.0}
+    good.metrics = {"charts/episodic_return": -5.0}
     Harder().on_progress(good)
     assert good.done == {"size": 8}
 

@@ -60,6 +60,14 @@ def flatten(config: Any) -> dict[str, Value]:
     return {f"{section}.{name}" if section else name: value for section, name, value in _options(config)}
 
 
+def plain_options(config: RunConfig) -> dict[str, bool | float | str]:
+    """Return every option by its dotted key, for trackers: what is no number or truth value as TOML has it."""
+    return {
+        key: value if isinstance(value, bool | int | float | str) else format_value(value)
+        for key, value in flatten(config).items()
+    }
+
+
 def _options(config: Any, prefix: str = "") -> Iterator[tuple[str, str, Value]]:
     """Yield the section, name and value of every field of a nested configuration, and of every entry of its maps."""
     unused = config.unused_sections if isinstance(config, RunConfig) else ()

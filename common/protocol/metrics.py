@@ -1,11 +1,11 @@
-"""Every metric that a process publishes about itself: name, unit and meaning, by role.
+"""Every metric that a process publishes about itself: name, unit, meaning and name in TensorBoard, by role.
 
 Names of nested maps are joined by a slash; `*` stands for any one name. A test
 holds the table against what the processes of a real run report, and `docs/reference/monitoring.md` is made from it.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 
@@ -17,11 +17,14 @@ class Metric:
         name: where it stands in `MetricMessage.values`.
         unit: what it is counted in; empty for names, texts and plain numbers.
         meaning: what it is.
+        scalar: its name in TensorBoard, in trackers and for callbacks; empty if they do not show it. Names are those of
+            CleanRL where it has one; what only we count is in the group `eia_sec`.
     """
 
     name: str
     unit: str
     meaning: str
+    scalar: str = ""
 
 
 _STEPS: Final = "environment steps"
@@ -34,11 +37,14 @@ _ADMISSION: Final = (
         "connections whose peer hung up before they were accepted; each delays new members by 0.1 s",
     ),
 )
+EPISODIC_RETURN: Final = "charts/episodic_return"
+MEAN_REWARD: Final = "eval/mean_reward"
 _ALARMS: Final = Metric("alarms", "", "list of sentences that need a person's attention")
 
 
-def _account(prefix: str, whose: str) -> tuple[Metric, ...]:
-    return (
+def _account(prefix: str, whose: str, scalars: str = "") -> tuple[Metric, ...]:
+    """Return the metrics of an account of steps; with their names in TensorBoard below `scalars`, if given."""
+    metrics = (
         Metric(
             f"{prefix}/produced",
             _STEPS,
@@ -56,7 +62,21 @@ def _account(prefix: str, whose: str) -> tuple[Metric, ...]:
         Metric(f"{prefix}/aged", "chunks", "refused chunks whose policy was too old"),
         Metric(f"{prefix}/damaged", "frames", "unreadable frames, requested again"),
     )
+    return tuple(replace(m, scalar=m.name.replace(prefix, scalars, 1)) if scalars else m for m in metrics)
 
+
+_LOSSES: Final = (
+    ("actor_loss", "policy_loss", "", "PPO's surrogate loss with the entropy bonus, by type of agent"),
+    ("value_loss", "value_loss", "", "mean squared error of the value functions, by type"),
+    ("entropy", "entropy", "nats", "mean entropy of the policies, by type"),
+    ("kl", "approx_kl", "nats", "KL divergence of the updates, by type"),
+    ("clipped_share", "clipfrac", "", "share of samples whose ratio was clipped, by type"),
+    ("explained_variance", "explained_variance", "", "share of the returns' variance that values predict, by type"),
+    ("critic_loss", "qf1_loss", "", "mean squared TD error of the (first) critic, by type"),
+    ("q_mean", "qf1_values", "", "mean Q of the batch's actions, by type"),
+    ("temperature", "alpha", "", "MASAC's weight of entropy, by type"),
+)
+"""Diagnostics that CleanRL has too: our name, its name, unit, meaning."""
 
 METRICS: Final[dict[str, tuple[Metric, ...]]] = {
     "learner": (
@@ -69,8 +89,19 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("updates", "updates", "gradient updates done"),
         Metric("version", "", "parameter version; grows with every publication"),
         Metric("event", "", "imitation events applied"),
-        Metric("lag_versions", "versions", "age of a chunk's policy when it arrives, running mean"),
-        Metric("queue", "chunks", "chunks waiting between receiver and replay"),
+        Metric(
+            "steps_per_second",
+            "1/s",
+            "environment_steps divided by elapsed: the mean over the whole run",
+            "charts/SPS",
+        ),
+        Metric(
+            "lag_versions",
+            "versions",
+            "age of a chunk's policy when it arrives, running mean",
+            "eia_sec/lag_versions",
+        ),
+        Metric("queue", "chunks", "chunks waiting between receiver and replay", "eia_sec/queue"),
         Metric(
             "malformed",
             "requests",
@@ -104,6 +135,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "s",
             "time since this start: the learner waits for data, imitation and checkpoint, and trains; producers, which "
             "overlaps these, is the time in which workers had to wait",
+            "eia_sec/waits/*",
         ),
         Metric("group/learners", "learners", "learners that make the updates together"),
         Metric(
@@ -111,12 +143,13 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "s",
             "part of training: time in which the leader exchanges rows and gradients and waits for slower learners",
         ),
-        *_account("ledger", "all workers"),
+        *_account("ledger", "all workers", "eia_sec/ledger"),
         Metric(
             "ledger/unexplained",
             _STEPS,
             "steps by which the workers' accounts do not add up, plus accepted steps that are neither in replay nor on "
             "the way to it; 0 unless there is a defect",
+            "eia_sec/ledger/unexplained",
         ),
         *_account("ledgers/*", "one worker in all its starts (16 workers at most; `(others)` sums the rest)"),
         Metric(
@@ -132,24 +165,44 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "rate (vartheta), elites (index by type), scores (omega of each agent by type), evaluation_steps",
         ),
         Metric(
-            "curves/reward/*",
+            "curves/reward/mean",
             "reward",
-            "mean reward per agent over the newest 40 episodes: of all agents, and of each type",
+            "mean reward per agent and episode over the newest 40 episodes",
+            EPISODIC_RETURN,
         ),
-        Metric("curves/steps", "steps", "mean length of the same episodes"),
-        Metric("curves/*", "", "means of the environment's episode metrics over the same episodes"),
-        Metric("curves/infos/*", "", "means of the numbers in a PettingZoo environment's infos over the same episodes"),
+        Metric("curves/reward/*", "reward", "the same of each type of agent", f"{EPISODIC_RETURN}_*"),
+        Metric("curves/steps", "steps", "mean length of the same episodes", "charts/episodic_length"),
+        Metric(
+            "curves/infos/*",
+            "",
+            "means of the numbers in a PettingZoo environment's infos over the same episodes",
+            "charts/infos/*",
+        ),
+        Metric("curves/*", "", "means of the environment's episode metrics over the same episodes", "charts/*"),
         Metric(
             "environment/*",
             "",
             "labels for views: short_names of types of agents, and episode_metrics, a list of maps with name, unit, "
             "meaning, label, digits, factor, plotted, group",
         ),
+        Metric("statistics/learning_rate", "", "step size of the actors' optimiser", "charts/learning_rate"),
+        *(
+            Metric(f"statistics/{name}/*", unit, meaning, f"losses/{scalar}_*")
+            for name, scalar, unit, meaning in _LOSSES
+        ),
         Metric(
-            "statistics/*", "", "running means of training diagnostics; docs/how-to/debug_training.md explains each"
+            "statistics/*",
+            "",
+            "further running means of training diagnostics; docs/how-to/debug_training.md explains each",
+            "eia_sec/*",
         ),
         Metric("evaluation_steps", _STEPS, "steps of noise-free evaluation for imitation"),
-        Metric("checkpoints/*", "", "sizes and times of checkpoints; docs/how-to/debug_training.md"),
+        Metric(
+            "checkpoints/*",
+            "",
+            "sizes and times of checkpoints; docs/how-to/debug_training.md",
+            "eia_sec/checkpoints/*",
+        ),
         _ALARMS,
     ),
     "rollout": (
@@ -231,6 +284,49 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         _ALARMS,
     ),
 }
+
+
+def scalars(values: Mapping[str, Any], types: Sequence[str]) -> dict[str, float]:
+    """Return the numbers that TensorBoard, trackers and callbacks show, by their names there.
+
+    Args:
+        values: metrics of the learner or of the evaluation, or a part of them.
+        types: the team's types of agents; names of a team with one type do not name it.
+    """
+    found: dict[str, float] = {}
+    for name, value in flattened(values).items():
+        parts = name.split("/")
+        metric = next((m for m in (*METRICS["learner"], *EVALUATION) if _covers(m.name.split("/"), parts)), None)
+        if metric is not None and metric.scalar:
+            own = "/".join(parts[metric.name.count("/") :])
+            scalar = metric.scalar.removesuffix("_*") if len(types) == 1 else metric.scalar
+            found[scalar.replace("*", own)] = value
+    return found
+
+
+def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
+    """Return the numbers in nested mappings by their names, joined with slashes; skip other values."""
+    result: dict[str, float] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            result |= flattened(value, f"{prefix}{name}/")
+        elif isinstance(value, int | float):
+            result[prefix + name] = float(value)
+    return result
+
+
+EVALUATION: Final = (
+    Metric(
+        "evaluation/reward",
+        "reward",
+        "mean reward per agent and episode of the final policy, without noise, in scenarios that training never saw",
+        MEAN_REWARD,
+    ),
+    Metric("evaluation/types/*", "reward", "the same of each type of agent", f"{MEAN_REWARD}_*"),
+    Metric("evaluation/steps", "steps", "mean length of the same episodes", "eval/mean_ep_length"),
+    Metric("evaluation/*", "", "means of the environment's episode metrics over the same episodes", "eval/*"),
+)
+"""What `eia-sec train` measures at a run's end."""
 
 
 def undeclared(role: str, values: Mapping[str, Any]) -> list[str]:

@@ -16,6 +16,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, ConfigError, RunDirError
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol.metrics import scalars
 from eia_sec.common.steered_progress import SteeredProgress
 from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
@@ -28,7 +29,6 @@ from eia_sec.deploy.python.run import Run, without_timeout
 from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.process.curves import Curves
 from eia_sec.learner.process.metrics_log import MetricsLog
-from eia_sec.learner.process.tensorboard import flattened
 from eia_sec.learner.process.trainer_progress import TrainerProgress
 from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.envs.registry import environment_spec, patient_with
@@ -48,11 +48,12 @@ class _InProcess(TrainerProgress):
     def __init__(self, config: RunConfig, trainer: Trainer, collector: Collector) -> None:
         super().__init__(config, trainer)
         self._collector = collector
+        self._types = [group.name for group in collector.team.groups]
         self.curves = Curves(collector.team)
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        return flattened({"curves": self.curves.smoothed(), "statistics": self._trainer.statistics()})
+        return scalars({"curves": self.curves.smoothed(), "statistics": self._trainer.statistics()}, self._types)
 
     def _change(self, arguments: str) -> None:
         self._collector.change_arguments(arguments)
@@ -61,9 +62,11 @@ class _InProcess(TrainerProgress):
 class _Elsewhere(SteeredProgress):
     """Training by other processes, as their learner's metrics tell."""
 
-    def __init__(self, config: RunConfig, monitor: RunMonitor, ask: Callable[[str], None]) -> None:
+    def __init__(
+        self, config: RunConfig, types: Sequence[str], monitor: RunMonitor, ask: Callable[[str], None]
+    ) -> None:
         super().__init__(config)
-        self.monitor, self._ask, self._wanted = monitor, ask, ""
+        self._types, self.monitor, self._ask, self._wanted = types, monitor, ask, ""
 
     @property
     def values(self) -> Mapping[str, Any]:
@@ -99,7 +102,7 @@ class _Elsewhere(SteeredProgress):
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        return flattened({name: self.values.get(name, {}) for name in ("curves", "statistics")})
+        return scalars({name: self.values.get(name, {}) for name in ("curves", "statistics")}, self._types)
 
     def _change(self, arguments: str) -> None:
         try:
@@ -184,7 +187,8 @@ def train_elsewhere(
         bus = processes.connect(lambda: bool(stop))
         if bus is not None:
             with bus:
-                progress = _Elsewhere(config, RunMonitor(bus, run), partial(processes.set_arguments, bus))
+                types = [group.name for group in spec.team.groups]
+                progress = _Elsewhere(config, types, RunMonitor(bus, run), partial(processes.set_arguments, bus))
                 _watch(processes, progress, callbacks, stop)
                 if not processes.over and (stop or progress.stopped):
                     processes.drain(bus)

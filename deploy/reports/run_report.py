@@ -13,12 +13,14 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import farm_of
 from eia_sec.common.policy_file import load_policy
+from eia_sec.common.protocol.metrics import scalars
 from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.run_directory import METRICS, POLICY, UNTRAINED, RunDirectory
 from eia_sec.deploy.progress import part, progress
 from eia_sec.deploy.reports.comparison_tables import comparison_table, counted, scenario_word
 from eia_sec.deploy.reports.film import find_ffmpeg
 from eia_sec.deploy.reports.plots import curves, trajectories
+from eia_sec.learner.process.tensorboard import TensorBoardWriter
 from eia_sec.rollout.evaluation import Evaluation, evaluate_run, record
 from eia_sec.rollout.policies import ActorPolicy, BatchPolicy, SampledPolicy, reference_policies, run_policy
 from eia_sec.rollout.shipped_policies import is_file
@@ -28,7 +30,9 @@ BEGINNING: Final = "untrained"
 SAMPLED: Final = ", sampled"
 
 
-def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
+def write_report(
+    directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console
+) -> dict[str, float]:
     """Evaluate the run's policy and some others on farms that training never saw, draw plots, and say what comes next.
 
     Args:
@@ -36,6 +40,9 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
         config: the run.
         command: the command line of the run, for the record.
         console: prints the table.
+
+    Returns:
+        The evaluation of the run's policy, by the names of scalars.
     """
     path = directory.path
     first = config.evaluation.first_farm
@@ -59,11 +66,16 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
         "evaluations": [result.to_dict() for result in results],
     }
     (path / "evaluation.json").write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
+    found, written = evaluation_scalars(results[0]), TensorBoardWriter(path)
+    steps = (record["environment_steps"] for record in reversed(metrics) if "environment_steps" in record)
+    written.write(next(steps, 0), found)
+    written.close()
     console.print(comparison_table(shown(results, references), word), highlight=False)
     if len(references) > 1:
         console.print(f"heuristics: {', '.join(references)}", highlight=False)
     console.print(f"written to {path}: {', '.join(pictures)}, evaluation.json, {METRICS}, {POLICY}", soft_wrap=True)
     console.print("\n".join(["next:", *next_commands(path, config)]), highlight=False, markup=False, soft_wrap=True)
+    return found
 
 
 def evaluate_all(config: RunConfig, folder: Path, farms: Sequence[int]) -> list[Evaluation]:
@@ -109,6 +121,13 @@ def next_commands(path: Path, config: RunConfig) -> list[str]:
             found.insert(0, (f"eia-sec replay {run}{end} --film none", "all flight paths beside the lawnmower's"))
     width = max(len(typed) for typed, _ in found)
     return [f"  {typed:<{width}}   # {why}" for typed, why in found]
+
+
+def evaluation_scalars(evaluation: Evaluation) -> dict[str, float]:
+    """Return an evaluation by the names of scalars."""
+    total, types = evaluation.total, [group.name for group in evaluation.environment.team.groups]
+    named = {"reward": total.reward, "types": total.types, "steps": total.steps}
+    return scalars({"evaluation": {**total.metrics, **named}}, types)
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

@@ -159,6 +159,7 @@ class OffPolicyTrainer(Trainer):
     def statistics(self) -> dict[str, float]:
         """Return running means of the diagnostics for each type, and statistics of replay."""
         result = self.diagnostics.by_type()
+        result["learning_rate"] = self.config.algorithm.actor_rate
         result["replay_rows"] = float(self.replay.rows)
         result["replay_occupancy"] = self.replay.occupancy
         result["replay_dropped"] = float(self.replay.dropped)

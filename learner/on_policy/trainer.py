@@ -262,6 +262,7 @@ class OnPolicyTrainer(Trainer):
     def statistics(self) -> dict[str, float]:
         """Return the diagnostics of the newest whole iteration, and statistics of its steps."""
         result = dict(self._updates.diagnostics.newest)
+        result["learning_rate"] = self._algorithm.actor_rate * self._algorithm.rate_share(self.progress)
         result["iterations"] = float(self.iterations)
         result["iteration_occupancy"] = self.experience.steps / self._algorithm.iteration_steps
         result["sample_age_versions"] = self._lag

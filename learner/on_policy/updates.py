@@ -298,9 +298,10 @@ class Updates:
         places, sequences = self._gathered(samples)
         tensors = {name: tensor.index_select(0, places) for name, tensor in self._rows.items()}
         team = self._seen.team if config.sees_team else self._seen.team[:, :0]
-        share = 1.0 + (config.rate_end - 1.0) * progress
         own, stopped = partial(self._own, places), tuple(self.stopped)
-        return Minibatch(own, tensors, team.index_select(0, places), sequences, stopped, weight, share)
+        return Minibatch(
+            own, tensors, team.index_select(0, places), sequences, stopped, weight, config.rate_share(progress)
+        )
 
     def _learn(self, batch: Minibatch) -> list[dict[str, Tensor]]:
         """Take one step of Adam for each type; return what was measured of each."""

@@ -6,20 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from eia_sec.common.config.files import plain_options
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.process import Presence
+from eia_sec.common.protocol.metrics import EPISODIC_RETURN, MEAN_REWARD, flattened, scalars
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.learner.process.curves import Curves
 from eia_sec.learner.process.metrics_log import MetricsLog, imitation_record
-from eia_sec.learner.process.tensorboard import TensorBoardWriter, flattened
+from eia_sec.learner.process.tensorboard import TensorBoardWriter
 from eia_sec.learner.trainer import Trainer
 
 IMITATIONS: Final = 4
 """Number of imitation events in a metric message, the newest ones."""
-SCALARS: Final = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
-"""Metrics that TensorBoard shows."""
-
 MetricSource = Callable[[], Mapping[str, Any]]
 AlarmSource = Callable[[], Sequence[str]]
 
@@ -46,8 +45,10 @@ class Reporter:
     ) -> None:
         self._team, self._trainer, self._presence = environment.team, trainer, presence
         self._labels = environment.labels()
-        descriptions = {f"curves/{m.name}": f"{m.meaning}, {m.unit}" for m in environment.episode_metrics}
+        self._types = [group.name for group in environment.team.groups]
+        descriptions = {f"charts/{m.name}": f"{m.meaning}, {m.unit}" for m in environment.episode_metrics}
         self._log, self._tensorboard = MetricsLog(directory, elapsed), TensorBoardWriter(directory, descriptions)
+        self._tensorboard.configuration(plain_options(trainer.config), (EPISODIC_RETURN, MEAN_REWARD))
         self._curves = Curves(environment.team, trainer.recent)
         self._imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
         self._metrics: list[MetricSource] = []
@@ -61,7 +62,7 @@ class Reporter:
     @property
     def metrics(self) -> Mapping[str, float]:
         """Rewards, episode metrics and diagnostics by TensorBoard's names."""
-        return flattened({"curves": self._curves.smoothed(), "statistics": self._trainer.statistics()})
+        return scalars({"curves": self._curves.smoothed(), "statistics": self._trainer.statistics()}, self._types)
 
     def add(self, metrics: MetricSource | None = None, alarms: AlarmSource | None = None) -> None:
         """Add a source of metrics, alarms or both, which every report then includes."""
@@ -110,6 +111,7 @@ class Reporter:
             "version": t.version,
             "event": t.events,
             "elapsed": self.elapsed,
+            "steps_per_second": t.environment_steps / max(self.elapsed, 1e-9),
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
@@ -120,8 +122,8 @@ class Reporter:
         message = {**metrics, "imitations": list(self._imitations), "environment": self._labels, "alarms": alarms}
         self._presence.report(message, t.version)
         agents = t.agent_statistics()
-        scalars: dict[str, Any] = {name: metrics[name] for name in SCALARS if name in metrics}
-        self._tensorboard.write(t.environment_steps, flattened(scalars | {"agents": agents}))
+        shown = scalars(metrics, self._types) | flattened({"agents": agents})
+        self._tensorboard.write(t.environment_steps, shown)
         self._log.write("status", **metrics, agents=agents)
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ When a full disk ends that thread, the queue fills up and blocks training foreve
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary, SummaryMetadata
+from tensorboardX.summary import hparams
 
 FOLDER = "tensorboard"
 RETRY_SECONDS = 60.0
@@ -51,8 +52,19 @@ class TensorBoardWriter:
     def _value(self, name: str, value: float) -> Any:
         """Return a scalar, with its description when it is written for the first time."""
         found = self._descriptions.pop(name, None)
-        metadata = None if found is None else SummaryMetadata(summary_description=found)
+        shown_by = SummaryMetadata.PluginData(plugin_name="scalars")
+        metadata = None if found is None else SummaryMetadata(summary_description=found, plugin_data=shown_by)
         return Summary.Value(tag=name, simple_value=value, metadata=metadata)
+
+    def configuration(self, options: Mapping[str, bool | float | str], shown: Sequence[str]) -> None:
+        """Record a run's configuration for the HPARAMS tab.
+
+        Args:
+            options: values by dotted key.
+            shown: scalars that the tab shows beside them.
+        """
+        for summary in hparams(dict(options), dict.fromkeys(shown, 0.0)):
+            self._put(Event(wall_time=time.time(), summary=summary))
 
     def resume(self, step: int) -> None:
         """Record that a run resumes at a step, so that TensorBoard drops later steps in earlier files."""
@@ -109,14 +121,3 @@ def _next_start(names: set[str]) -> int:
     """Return a number above those of all event files, and above their count."""
     numbers = [name.removeprefix("events.start-")[:6] for name in names if name.startswith("events.start-")]
     return max([len(names), *(int(number) for number in numbers if number.isdecimal())]) + 1
-
-
-def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """Return the numbers in nested mappings by their names, joined with slashes; skip other values."""
-    result: dict[str, float] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            result |= flattened(value, f"{prefix}{name}/")
-        elif isinstance(value, int | float):
-            result[prefix + name] = float(value)
-    return result

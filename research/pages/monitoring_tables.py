@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -12,7 +13,7 @@ from eia_sec.common.protocol import keys, messages
 from eia_sec.common.protocol.codec import Message
 from eia_sec.common.protocol.frame import PROTOCOL
 from eia_sec.common.protocol.messages import Envelope
-from eia_sec.common.protocol.metrics import METRICS
+from eia_sec.common.protocol.metrics import EVALUATION, METRICS, Metric
 from eia_sec.deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Snapshot
 from research.pages.blocks import table
 
@@ -58,13 +59,16 @@ def messages_tables() -> str:
 
 
 def metrics_tables() -> str:
-    """Return one table of metrics for each role."""
-    return "".join(
-        f"### {role}\n\n"
-        + table(["name", "unit", "meaning"], [[f"`{m.name}`", m.unit, m.meaning] for m in metrics])
-        + "\n\n"
-        for role, metrics in METRICS.items()
-    )
+    """Return one table of metrics for each role, and one of the evaluation at a run's end."""
+    tables = {**METRICS, "evaluation": EVALUATION}
+    return "".join(f"### {role}\n\n{_metrics_table(metrics)}\n\n" for role, metrics in tables.items())
+
+
+def _metrics_table(metrics: Sequence[Metric]) -> str:
+    if not any(metric.scalar for metric in metrics):
+        return table(["name", "unit", "meaning"], [[f"`{m.name}`", m.unit, m.meaning] for m in metrics])
+    rows = [[f"`{m.name}`", m.scalar and f"`{m.scalar}`", m.unit, m.meaning] for m in metrics]
+    return table(["name", "in TensorBoard", "unit", "meaning"], rows)
 
 
 def snapshot_tables() -> str:

@@ -121,6 +121,10 @@ class OnPolicyConfig(AlgorithmConfig):
         """Return the options with those of another network; raise ConfigError where there is none of this name."""
         return replace(self, network=network_named(self.network, name))
 
+    def rate_share(self, progress: float) -> float:
+        """Return the share of the learning rates that is left at a finished share of the run."""
+        return 1.0 + (self.rate_end - 1.0) * progress
+
     @property
     def module(self) -> NetworkConfig | None:
         """The options of a plug-in's network; None for the perceptrons of this package."""

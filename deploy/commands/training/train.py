@@ -33,6 +33,7 @@ from eia_sec.deploy.local.training_processes import COORDINATOR, LEARNER, Proces
 from eia_sec.deploy.monitor.live_view import render, summary
 from eia_sec.deploy.monitor.new_alarms import NewAlarms
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
+from eia_sec.deploy.monitor.tracker import Tracker, TrackerName, client_of
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
 from eia_sec.rollout.envs.registry import environment_spec, spec_of_team
@@ -79,6 +80,8 @@ class TrainArguments:
     """Folder of `eia-sec keys` with a certificate for each process; turns TLS on."""
     shared_memory: bool = False
     """Send transitions through shared memory instead of TCP."""
+    track: TrackerName | None = None
+    """Also send metrics and configuration to Weights & Biases or MLflow, as their own environment variables say."""
     report: bool = True
     """Evaluate against the heuristics and draw plots at the end."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
@@ -90,6 +93,7 @@ def command(arguments: Sequence[str]) -> int:
     _require_possible(options)
     workers = worker_count(options)
     require_learners(options.settings, options.learners, lockstep=options.lockstep)
+    client = None if options.track is None else client_of(options.track)
     endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False, advice="choose a loopback address, such as tcp/127.0.0.1:7447")
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
@@ -112,12 +116,8 @@ def command(arguments: Sequence[str]) -> int:
     if clones is not None:
         begun = clones.save(directory.path)
     preset = "" if options.preset or options.resume else f"preset: {chosen}; another one: --preset NAME"
-    lines = [*filter(None, (preset, begun, shortage(options.settings, environment)))]
-    lines.append(f"run directory: {directory.path}; to watch it from another terminal:")
-    for reader in ("monitor", "watch") if farm_of(options.settings) is not None else ("monitor",):
-        own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        lines.append(f"  eia-sec {reader} {shlex.quote(str(directory.path))}{own}{IN_BROWSER[reader]}")
-    for line in lines:
+    lines = filter(None, (preset, begun, shortage(options.settings, environment)))
+    for line in (*lines, *_where_to_watch(options, directory.path)):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     plan = ProcessPlan(
         options.settings,
@@ -131,7 +131,8 @@ def command(arguments: Sequence[str]) -> int:
         tls=options.tls,
         learners=options.learners,
     )
-    training = _Training(plan, console)
+    tracker = None if client is None else Tracker(client, directory.path, options.settings, team)
+    training = _Training(plan, console, tracker)
     training.run()
     served = options.settings.env.served
     if not directory.finished():
@@ -141,13 +142,26 @@ def command(arguments: Sequence[str]) -> int:
     elif options.report and not served:  # a robot moves only as long as it was asked to
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
-        write_report(directory, options.settings, command_line(arguments, options, workers), console)
+        found = write_report(directory, options.settings, command_line(arguments, options, workers), console)
+        if tracker is not None:
+            tracker.log_scalars(found)
     else:
         again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
         own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
         where = f" --endpoint {endpoint}{own}" if served else ""
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
+    if tracker is not None:
+        console.print(tracker.finish(), highlight=False, markup=False, soft_wrap=True)
     return 0
+
+
+def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
+    """Return lines with the run directory and the commands that show the run."""
+    lines = [f"run directory: {run}; to watch it from another terminal:"]
+    for reader in ("monitor", "watch") if farm_of(options.settings) is not None else ("monitor",):
+        own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
+        lines.append(f"  eia-sec {reader} {shlex.quote(str(run))}{own}{IN_BROWSER[reader]}")
+    return lines
 
 
 def _require_possible(options: TrainArguments) -> None:
@@ -210,6 +224,7 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more += "" if options.learners == 1 else f" --learners {options.learners}"
     more += "" if options.tls is None else f" --tls {options.tls}"
     more += " --shared-memory" if options.shared_memory else ""
+    more += "" if options.track is None else f" --track {options.track}"
     named = [shlex.quote(word) for word in code_options(options.settings)]
     return " ".join([f"eia-sec train --run-dir {run} --resume{more}", *named])
 
@@ -273,14 +288,14 @@ def _environment(options: TrainArguments, endpoint: Endpoint) -> EnvironmentSpec
 
 
 class _Training:
-    """The processes and the view of them.
+    """The processes and the view of them, and what a tracker is told.
 
     Attributes:
         stopped: why a callback of a plug-in stopped the run, or empty.
     """
 
-    def __init__(self, plan: ProcessPlan, console: Console) -> None:
-        self._console = console
+    def __init__(self, plan: ProcessPlan, console: Console, tracker: Tracker | None = None) -> None:
+        self._console, self._tracker = console, tracker
         self._stop = StopSignal()
         self._processes = TrainingProcesses(plan)
         self._printed = 0.0
@@ -300,6 +315,7 @@ class _Training:
                     if self._stop:
                         self._drain(bus)
                     monitor.update()
+                    self._track(monitor)
                     self.stopped = monitor.stopped_by()
         finally:
             processes.stop()
@@ -315,7 +331,7 @@ class _Training:
             alarms = NewAlarms()
             while not (self._stop or processes.over):
                 self._tick(monitor)
-                snapshot = monitor.snapshot()
+                snapshot = monitor.snapshot(self._track(monitor))
                 lines = alarms.of(snapshot)
                 if time.monotonic() - self._printed >= PLAIN_SECONDS:
                     self._printed = time.monotonic()
@@ -326,13 +342,20 @@ class _Training:
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
             while not (self._stop or processes.over):
                 self._tick(monitor)
-                snapshot = monitor.snapshot(tuple(processes.supervisor.alarms))
+                snapshot = monitor.snapshot((*processes.supervisor.alarms, *self._track(monitor)))
                 live.update(render(snapshot, self._console.height - 1), refresh=True)
 
     def _tick(self, monitor: RunMonitor) -> None:
         self._processes.watch(training=monitor.trains)
         monitor.update()
         self._stop.event.wait(REFRESH_SECONDS)
+
+    def _track(self, monitor: RunMonitor) -> tuple[str, ...]:
+        """Give a tracker the learner's newest metrics; return what is wrong with it."""
+        if self._tracker is None:
+            return ()
+        self._tracker.log(monitor.learner_values())
+        return tuple(filter(None, (self._tracker.failure,)))
 
     def _drain(self, bus: Bus) -> None:
         self._console.print("draining; the learner is writing a checkpoint ...", highlight=False)

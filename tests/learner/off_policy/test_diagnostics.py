@@ -10,6 +10,7 @@ import torch
 from eia_sec.common.actors import TeamActors, parameter_views
 from eia_sec.common.config import EiaSecConfig, ReplayConfig
 from eia_sec.common.config.presets import preset
+from eia_sec.common.protocol.metrics import flattened
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from eia_sec.learner.off_policy.diagnostics import (
@@ -22,7 +23,7 @@ from eia_sec.learner.off_policy.diagnostics import (
 from eia_sec.learner.off_policy.engine import Batch, Diagnostics, Engine
 from eia_sec.learner.off_policy.replay import Replay
 from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
-from eia_sec.learner.process.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
+from eia_sec.learner.process.tensorboard import FOLDER, Event, TensorBoardWriter
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 

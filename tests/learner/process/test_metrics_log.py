@@ -4,6 +4,7 @@ import json
 
 import pytest
 from tensorboardX.proto.event_pb2 import SessionLog
+from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transitions import EpisodeSummary
@@ -208,3 +209,18 @@ def test_event_files_sort_by_start_and_not_by_the_clock(tmp_path, monkeypatch):
         names.append(made._file.name)
     assert sorted(path.name for path in folder.iterdir())[1:] == names
     assert all("tfevents" in name for name in names)
+
+
+def test_tensorboard_shows_the_configuration(tmp_path):
+    """As hyperparameters, beside the scalars that runs are compared by."""
+    board = TensorBoardWriter(tmp_path)
+    board.configuration({"seed": 3, "algorithm.name": "ippo", "flag": True}, ["charts/episodic_return"])
+    board.close()
+    found = {value.tag: value for event in events(tmp_path / FOLDER) for value in event.summary.value}
+    assert set(found) >= {"_hparams_/experiment", "_hparams_/session_start_info"}
+    begun = HParamsPluginData.FromString(found["_hparams_/session_start_info"].metadata.plugin_data.content)
+    options = begun.session_start_info.hparams
+    assert options["seed"].number_value == 3.0
+    assert options["algorithm.name"].string_value == "ippo"
+    whole = HParamsPluginData.FromString(found["_hparams_/experiment"].metadata.plugin_data.content)
+    assert [metric.name.tag for metric in whole.experiment.metric_infos] == ["charts/episodic_return"]
