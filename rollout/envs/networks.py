@@ -5,7 +5,7 @@ from typing import Final
 
 from eia_sec.common import plugins
 from eia_sec.common.actors import actor_outputs
-from eia_sec.common.config import RunConfig
+from eia_sec.common.config import ALGORITHM_CONFIGS, OnPolicyConfig, RunConfig
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.team import GroupSpec, TeamSpec
 
@@ -61,9 +61,10 @@ def _require_vectors(config: RunConfig, groups: Sequence[GroupSpec]) -> None:
                 f"algorithm.network mlp do not read; choose a plug-in's network that reads images ({EXAMPLE})."
             )
         if group.image:
+            learning = ", ".join(name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, OnPolicyConfig))
             raise ConfigError(
                 f"the {group.name} agents of {config.env.name} see {_seen(group)}, from which {config.algorithm.name} "
-                f"does not learn; ippo, mappo and eia-ppo do, with a plug-in's network that reads images ({EXAMPLE})."
+                f"does not learn; {learning} do, with a plug-in's network that reads images ({EXAMPLE})."
             )
 
 
