@@ -10,7 +10,7 @@ This table repeats the declarations below; a test compares the two. ROOT and the
     imitation/learner             request  coordinator -> learner   ImitationMessage, ReceiptMessage
     imitation/event               state    coordinator -> everybody ImitationMessage
     watch/{worker}                request  watcher -> worker        WatchRequest, WatchTerms
-    view/{worker}                 lossy    worker -> watchers       ViewMessage
+    view/{worker}                 lossy    worker -> watchers       ViewMessage, StepsMessage
     metric/{role}/{name}          lossy    everyone -> everybody    MetricMessage
     live/{role}/{name}            token    everyone -> everybody
     flight/{vehicle}/pose         lossy    vehicle -> flight nodes  PoseMessage
@@ -163,7 +163,7 @@ VIEW: Final = KeyFamily(
     delivery="lossy",
     sender="worker",
     receiver="watchers",
-    messages=("ViewMessage",),
+    messages=("ViewMessage", "StepsMessage"),
     pace="while somebody watches; 25 steps per second on average",
 )
 METRIC: Final = KeyFamily(

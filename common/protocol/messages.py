@@ -397,9 +397,11 @@ class WatchTerms(Message):
 
     Attributes:
         toml: the run's configuration; it and a frame's farm seed determine the sensors' positions.
-        part_names: names of the reward's K parts.
+        part_names: names of the reward's K parts; empty if the environment is no farm.
         lease_seconds: how long the worker publishes after a request, s.
         steps_per_second: most frames that it publishes per second, averaged over whole episodes.
+        agents: names of the agents in row order; empty for a farm.
+        team: layout of a row, as in ConfigurationMessage; left out for a farm, whose configuration determines it.
     """
 
     KIND, MOST_HEADER = 16, MAX_HEADER
@@ -407,6 +409,8 @@ class WatchTerms(Message):
     part_names: tuple[str, ...]
     lease_seconds: float
     steps_per_second: float
+    agents: tuple[str, ...] = ()
+    team: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -449,6 +453,52 @@ class ViewMessage(Message):
     gone: NDArray[np.uint8] | None = None
     charge: NDArray[np.uint8] | None = None
     known: NDArray[np.uint8] | None = None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.position)
+
+
+@dataclass(frozen=True)
+class StepsMessage(Message):
+    """Consecutive steps of a worker's first environment, where that is no farm; checked by `view_checks`, too.
+
+    Attributes:
+        scenario: the scenario's seed.
+        episode: the episode's seed.
+        first: step of the first frame; 0 is the state after the reset.
+        skipped: steps of this environment, done while somebody watched, that were not published.
+        noise_std: standard deviation of the exploration noise.
+        uniform: whether actions were drawn uniformly instead (warm-up).
+        reward: [F, agents] rewards of each step.
+        action: [F, A] actions that led to each frame, in the environment's units, or indices of options; 0 in step 0.
+        seen: [F, agents, 3] least, mean and largest number of each agent's observation.
+        alive: [F, agents] 1 for agents that take part after the step.
+        pictures: [B] what `render()` shows after some of the steps, PNG files one after another.
+        ends: [F] where in `pictures` each frame's picture ends; a frame without one ends where the last one did.
+        silence: why there are no pictures, a sentence; empty where there are, or may still come.
+    """
+
+    KIND = 19
+    scenario: int
+    episode: int
+    first: int
+    skipped: int
+    noise_std: float
+    uniform: bool
+    reward: Float32
+    action: Float32
+    seen: Float32
+    alive: NDArray[np.uint8]
+    pictures: NDArray[np.uint8]
+    ends: NDArray[np.int64]
+    silence: str
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.ends)
 
 
 @dataclass(frozen=True)

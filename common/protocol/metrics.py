@@ -229,10 +229,16 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("outages", "", "times that an environment's simulator or robot went away"),
         Metric("steps_resent", "", "requests to a served environment that were sent again"),
         Metric("answers_refused", "", "answers of served environments that could not be used or were a refusal"),
-        Metric("step_timeouts", "", "times that the worker was ended and replaced because of `env.step_timeout`"),
+        Metric(
+            "step_timeouts",
+            "",
+            "times that the worker was replaced, as its environment did not return from a call",
+        ),
         Metric("watchers", "", "number of watchers now"),
         Metric("shown", _STEPS, "steps published to watchers"),
         Metric("skipped", _STEPS, "steps simulated while somebody watched, but not published"),
+        Metric("pictures", "", "pictures that an environment's `render()` has drawn for watchers"),
+        Metric("no_pictures", "", "why it draws none, or empty"),
         _ALARMS,
     ),
     "elite": (

@@ -1,14 +1,18 @@
-"""Checks of a watched farm's frames before they are drawn."""
+"""Checks of a watched environment's frames before they are drawn."""
 
+import struct
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
+from eia_sec.common.config.environment import MOST_EPISODE_STEPS
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.farm import farm_team
-from eia_sec.common.protocol.messages import ViewMessage
+from eia_sec.common.protocol.messages import StepsMessage, ViewMessage
+from eia_sec.common.team import TeamSpec
 
 FRAMES: Final = 32
 """Most frames in one message."""
@@ -18,6 +22,17 @@ NO_RELAY: Final = 255
 """Assignment of a UAV that has no relay."""
 EDGE: Final = 1e-3
 """Rounding error allowed for a position at the field's edge, m."""
+MOST_SIDE: Final = 480
+"""Most pixels along a side of a picture."""
+MOST_PICTURE: Final = 2**20
+"""Most bytes of a picture; noise of MOST_SIDE by MOST_SIDE pixels takes two thirds of that."""
+MOST_PICTURES: Final = 4 * 2**20
+"""Most bytes of all pictures in one message."""
+MOST_SENTENCE: Final = 300
+"""Most characters of the sentence that says why there are no pictures."""
+MOST_AGENT_NAME: Final = 64
+_PNG: Final = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+_SIZE: Final = struct.Struct(">II")
 
 
 def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
@@ -81,3 +96,50 @@ def _optional_shapes(message: ViewMessage, farm: FarmConfig, frames: int) -> dic
 def _within(values: NDArray[Any], most: NDArray[np.float64], least: float, name: str) -> None:
     if (values < least).any() or (values > most).any():
         raise SchemaError(f"array {name} leaves its range.")
+
+
+def check_steps(message: StepsMessage, team: TeamSpec) -> None:
+    """Raise SchemaError unless a message fits the team that its sender announced.
+
+    A picture is not unpacked for that: the first bytes of a PNG file say how many pixels it has.
+
+    Args:
+        message: the received message.
+        team: the layout of a row in the worker's answer.
+    """
+    frames = message.frames if message.ends.ndim == 1 else 0
+    if not 1 <= frames <= FRAMES:
+        raise SchemaError(f"a view has {frames} frames, not 1 to {FRAMES}.")
+    for name, shape in {
+        "reward": (frames, team.agents),
+        "action": (frames, team.environment_action_size),
+        "seen": (frames, team.agents, 3),
+        "alive": (frames, team.agents),
+    }.items():
+        if getattr(message, name).shape != shape:
+            raise SchemaError(f"array {name} is {list(getattr(message, name).shape)}, not {list(shape)}.")
+    for name in ("reward", "action", "seen"):
+        if not np.isfinite(getattr(message, name)).all():
+            raise SchemaError(f"array {name} holds a number that is not finite.")
+    if (message.alive > 1).any():
+        raise SchemaError("a flag is neither 0 nor 1.")
+    if message.first + frames > MOST_EPISODE_STEPS + 1:
+        raise SchemaError(f"a view reaches step {message.first + frames - 1} of {MOST_EPISODE_STEPS}.")
+    if len(message.silence) > MOST_SENTENCE:
+        raise SchemaError(f"a sentence has {len(message.silence)} characters, not {MOST_SENTENCE} at most.")
+    _check_pictures(message.pictures, message.ends.tolist())
+
+
+def _check_pictures(pictures: NDArray[np.uint8], ends: list[int]) -> None:
+    if pictures.ndim != 1 or len(pictures) > MOST_PICTURES or ends[-1] != len(pictures):
+        raise SchemaError("the pictures are too many bytes, or not those that their ends tell.")
+    for begin, end in pairwise([0, *ends]):
+        if not 0 <= end - begin <= MOST_PICTURE:
+            raise SchemaError(f"a picture has {end - begin} bytes, not {MOST_PICTURE} at most.")
+        if end > begin:
+            head = pictures[begin : begin + len(_PNG) + _SIZE.size].tobytes()
+            if not head.startswith(_PNG) or end - begin < len(_PNG) + _SIZE.size:
+                raise SchemaError("a picture is no PNG file.")
+            sides = _SIZE.unpack_from(head, len(_PNG))
+            if not all(1 <= side <= MOST_SIDE for side in sides):
+                raise SchemaError(f"a picture of {sides[0]} by {sides[1]} pixels; {MOST_SIDE} are allowed.")

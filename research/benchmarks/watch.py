@@ -35,7 +35,7 @@ from eia_sec.deploy.monitor.web.hub import Hub, Seat
 from eia_sec.deploy.monitor.web.source import Source
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.worker.collector import Collector
-from eia_sec.rollout.worker.probe import Probe
+from eia_sec.rollout.worker.farm_probe import FarmProbe
 from eia_sec.rollout.worker.view_service import ViewService
 
 RUN: Final = "watch"
@@ -75,7 +75,7 @@ class _Tally:
     other: float = 0.0
 
 
-class _TimedProbe(Probe):
+class _TimedProbe(FarmProbe):
     """A probe that measures the time it takes."""
 
     seconds = 0.0

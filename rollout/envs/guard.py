@@ -29,6 +29,7 @@ from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from eia_sec.common.errors import (
@@ -48,6 +49,12 @@ SHOWN: Final = 100
 
 LONGEST: Final = 4000
 """Most characters of a user's exception."""
+RENDER: Final = "render()"
+"""What `Running.method` says of a picture that is being drawn."""
+RENDER_SECONDS: Final = 5.0
+"""Time that a picture may take before it is given up."""
+MOST_PIXELS: Final = 2**26
+"""Most pixels of a picture."""
 
 By: TypeAlias = Mapping[Any, Any]
 """Values by the name of an agent."""
@@ -176,6 +183,21 @@ class Guard:
                     self._require(method, False, given, f"a {what} of agent {min(missing, key=str)}")
             terminated, truncated = self._flags("termination", terminations), self._flags("truncation", truncations)
         return Step(observations, numbers, terminated, truncated, infos)
+
+    def render(self) -> NDArray[np.uint8]:
+        """Return a picture [height, width, 3] of the present state.
+
+        Raises:
+            ContractError: it is no such picture.
+            EnvironmentFaultError: the environment raised something, or took longer than RENDER_SECONDS.
+        """
+        with calling(self.name, RENDER) as method, _limited(RENDER_SECONDS):
+            found = self.wrapped.render()
+            fits = isinstance(found, np.ndarray) and found.dtype == np.uint8 and found.shape[2:] == (3,)
+            fits = fits and 0 < found.size <= 3 * MOST_PIXELS
+            self._require(method, fits, found, "a picture [height, width, 3] of bytes")
+        picture: NDArray[np.uint8] = found
+        return picture
 
     def _flags(self, what: str, given: By) -> Mapping[Any, bool]:
         """Return what terminations or truncations say; raise ContractError unless each is a truth value."""
@@ -318,6 +340,29 @@ def calling(name: str, method: str) -> Iterator[str]:
         _theirs.append(_Settings.now())
         ours.apply(_theirs[0])
         _restore(handlers)
+
+
+class _TooLongError(BaseException):
+    """A call was interrupted; no `except Exception` of a user's code holds it up."""
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Interrupt this block after some seconds; only the main thread can be interrupted, and only in Python code."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        raise _TooLongError(f"it took longer than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 class _Exits:

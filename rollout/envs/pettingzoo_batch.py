@@ -13,15 +13,25 @@ from numpy.typing import NDArray
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.config.environment import MOST_EPISODE_STEPS
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import ConfigError, EnvironmentOutageError, SimulationError
+from eia_sec.common.errors import (
+    ConfigError,
+    ContractError,
+    EnvironmentFaultError,
+    EnvironmentOutageError,
+    SimulationError,
+)
+from eia_sec.common.log import log
+from eia_sec.common.protocol.view_checks import MOST_SENTENCE
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32, described
+from eia_sec.common.text import printable
 from eia_sec.common.transitions import EpisodeSummary, observation_type
 from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.episode_infos import EpisodeInfos
 from eia_sec.rollout.envs.guard import Guard
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
+from eia_sec.rollout.envs.pictures import draws, with_pictures
 
 T = TypeVar("T")
 
@@ -47,12 +57,14 @@ class PettingZooBatch:
         observation: [E, O] float32, or bytes where all agents see images, flattened as `gymnasium.spaces.flatten` does,
             each agent's action mask at the end.
         reward: [E, agents] float32 of the last step.
+        action: [E, A] float32 of the last step, as the environments got them.
         potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
         hindsight: None, for the same reason.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] whether all remaining agents terminated in the last step.
         ended: [E] whether the episode is over.
         infos: the numbers in what `step` tells agents besides.
+        silence: why an environment that was asked for pictures gives none, a sentence, or empty.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -84,31 +96,36 @@ class PettingZooBatch:
             made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
-        self._views = [agents.views] * environments
-        self._spaces, self._actions = agents.actions, RowActions(agents.actions)
+        self._agents, self._views = agents, [agents.views] * environments
+        self._actions = RowActions(agents.actions)
         self._absent = {name: view.absent() for name, view in agents.views.items()}
         kind = observation_type(self.team, rounded=False)
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), kind)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
+        self.action: Float32 = np.zeros((environments, self.team.action_size), np.float32)
         self.potential: Float32 = np.zeros_like(self.reward)
         self.hindsight: Float32 | None = None
         self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.infos = EpisodeInfos(environments, config.name)
+        self.silence = ""
+        self._asked_for_pictures: set[int] = set()
         self._returns = np.zeros((environments, self.team.agents))
         self._seeds = [(-1, -1)] * environments
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds."""
         self._renew(index)
+        if index in self._asked_for_pictures:
+            self._renew_with_pictures(index)
         seed = derive(scenario_seed, episode_seed, "reset") % 2**31
         observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
         self._observe(index, "reset()", observations, infos)
         self._seeds[index] = (scenario_seed, episode_seed)
         self.infos.begin(index)
         self.time[index] = 0
-        self.reward[index] = self._returns[index] = 0.0
+        self.reward[index] = self.action[index] = self._returns[index] = 0.0
         self.terminated[index] = self.ended[index] = False
 
     def step(self, action: Float32) -> None:
@@ -126,7 +143,7 @@ class PettingZooBatch:
             raise SimulationError(f"actions must be finite numbers of shape {list(wanted)}.")
         if self.time.min() < 0 or self.ended.all():
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
-        rows = self._actions.in_range(action)
+        self.action = rows = self._actions.in_range(action)
         running = [index for index in range(len(rows)) if not self.ended[index]]
         self.reward[self.ended] = 0.0
         acts = [self._actions.by_agent(rows[index], set(self._environments[index].agents)) for index in running]
@@ -150,6 +167,30 @@ class PettingZooBatch:
         """
         self._config = replace(self._config, arguments=arguments)
 
+    def seeds(self, index: int) -> tuple[int, int]:
+        """Return the scenario seed and the episode seed of an environment's episode."""
+        return self._seeds[index]
+
+    def alive(self, index: int) -> NDArray[np.bool_]:
+        """Return which agents [agents] of an environment take part."""
+        living = set(self._environments[index].agents)
+        return np.array([name in living for name in self.names])
+
+    def ask_for_pictures(self, index: int) -> None:
+        """Make an environment anew with a render_mode, where it takes one, when its next episode begins."""
+        if not (self.silence or draws(self._environments[index])):
+            self._asked_for_pictures.add(index)
+
+    def picture(self, index: int) -> NDArray[np.uint8] | None:
+        """Return what an environment shows [height, width, 3], or None where it shows nothing."""
+        if self.silence or not draws(self._environments[index]):
+            return None
+        try:
+            return self._environments[index].render()
+        except (ContractError, EnvironmentFaultError, EnvironmentOutageError) as error:
+            self._fall_silent(error)
+            return None
+
     def close(self) -> None:
         """Close all environments."""
         for environment in self._environments:
@@ -171,13 +212,29 @@ class PettingZooBatch:
                 f"with the arguments {config.arguments} {config.name} has {described(found.team)}, and the run trains "
                 f"{described(self.team)}; arguments that change while a run trains must keep the team."
             )
-        if found.actions != self._spaces:  # all environments of the batch share how actions are read
+        if found.actions != self._agents.actions:  # all environments of the batch share how actions are read
             raise ConfigError(
                 f"with the arguments {config.arguments} {config.name} has other action spaces; arguments that change "
                 "while a run trains must keep them."
             )
         self._views[index] = found.views
         self._made[index] = config.arguments
+
+    def _renew_with_pictures(self, index: int) -> None:
+        """Replace an environment by one that can be drawn; where there is none, it stays."""
+        self._asked_for_pictures.discard(index)
+        try:
+            made = with_pictures(replace(self._config, arguments=self._made[index]), self._attempt, self._agents)
+        except (ConfigError, ContractError, EnvironmentFaultError, EnvironmentOutageError) as error:
+            self._fall_silent(error)
+            return
+        self._environments[index].close()
+        self._environments[index] = made
+
+    def _fall_silent(self, error: Exception) -> None:
+        """Give no more pictures; training goes on without them."""
+        log(f"no pictures of {self._config.name}: {error}")
+        self.silence = printable(str(error).rstrip().rpartition("\n")[2])[:MOST_SENTENCE]
 
     def _step(self, index: int, actions: dict[Any, Any]) -> None:
         environment, present = self._environments[index], set(actions)

@@ -9,13 +9,15 @@ from contextlib import closing, contextmanager
 from typing import Final, NoReturn
 
 from eia_sec.common.log import log
-from eia_sec.rollout.envs.guard import Guard, end_process
+from eia_sec.rollout.envs.guard import RENDER, Guard, end_process
 
 PERIOD_SECONDS: Final = 1.0
 ALARM_SECONDS: Final = (10, 60, 600, 3600)
 """Times after which a call that has not returned is said; each has a sentence of its own."""
 STUCK_SECONDS: Final = 10.0
 """Time that a call may take once the process should end; its supervisor kills it after 8 s, if there is one."""
+PICTURE_SECONDS: Final = 30.0
+"""Time after which a picture ends the process that nothing could interrupt, whatever its limit: nothing is worth it."""
 
 
 class Watchdog:
@@ -59,6 +61,9 @@ class Watchdog:
                 continue
             self.speak()
             told = f"{running.environment} has been in {running.method} for {running.seconds:.0f} s"
+            if running.method == RENDER and running.seconds > PICTURE_SECONDS:
+                self.timed_out()
+                _leave(f"{told}, for somebody who watches; this process ends.")
             if 0.0 < self._limit < running.seconds:
                 self.timed_out()
                 _leave(f"{told}, longer than env.step_timeout {self._limit:g}; this process ends.")

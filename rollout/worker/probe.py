@@ -1,95 +1,89 @@
-"""Records one environment of a batch of farms step by step, for people watching."""
+"""Records one environment of a batch step by step, for people watching."""
 
-from dataclasses import dataclass
-from typing import Final
+from abc import ABC, abstractmethod
+from typing import Final, Generic, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from eia_sec.common.protocol.messages import ViewMessage
-from eia_sec.common.protocol.view_checks import FRAMES
-from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.common.protocol.messages import StepsMessage, ViewMessage
+from eia_sec.common.protocol.view_checks import FRAMES, MOST_PICTURES
+from eia_sec.rollout.envs.base import Environments
 
 HELD: Final = 1024
 """Most frames held before they are taken. A full probe closes."""
 
 
-@dataclass(frozen=True)
-class _Frame:
-    seeds: tuple[int, int]
-    step: int
-    position: NDArray[np.float64]
-    assignment: NDArray[np.int64]
-    quality: NDArray[np.float64]
-    aoi: NDArray[np.float64]
-    vdf: NDArray[np.float64]
-    parts: NDArray[np.float64]
-    gone: NDArray[np.bool_]
-    charge: NDArray[np.float64]
-    known: NDArray[np.bool_]
+class Frame(Protocol):
+    """One step of an environment."""
+
+    @property
+    def step(self) -> int:
+        """Number of the step; 0 is the state after the reset."""
+
+    @property
+    def weight(self) -> int:
+        """Bytes of its picture."""
 
 
-class Probe:
+F = TypeVar("F", bound=Frame)
+M = TypeVar("M", ViewMessage, StepsMessage)
+
+
+class Probe(ABC, Generic[F, M]):
     """Keeps frames of one environment from its opening to the end of an episode.
 
     Args:
-        batch: the simulator.
+        environments: the batch.
         index: index of the environment.
+        longest: most frames from an opening on. What ends in the middle of an episode goes on there when it is opened
+            again.
 
     Attributes:
         index: index of the environment.
         again: whether it continues with the next episode when one ends.
         is_open: whether it records frames or waits for an episode to begin.
+        pictures: pictures that it has recorded.
     """
 
-    def __init__(self, batch: FarmBatch, index: int) -> None:
-        self._batch, self.index = batch, index
-        self._frames: list[_Frame] = []
-        self._waiting = False
+    def __init__(self, environments: Environments, index: int, longest: int) -> None:
+        self._environments, self.index, self._longest = environments, index, longest
+        self._frames: list[F] = []
+        self._waiting = self._cut = False
+        self._since = 0
         self.again = True
         self.is_open = False
-        slices = batch.team.agent_slices()
-        self._starts = [part.start for part in slices]
-        self._counts = np.array([part.stop - part.start for part in slices])[None, :, None]
+        self.pictures = 0
+
+    @property
+    def silence(self) -> str:
+        """Return why the environment's code draws no pictures, a sentence, or an empty text."""
+        return ""
 
     def open(self, *, at_once: bool) -> None:
         """Record frames from now on, or from the next episode's first step."""
-        self.is_open, self._waiting = True, not at_once
+        self.is_open, self._waiting = True, not (at_once or self._cut)
+        self._since, self._cut = 0, False
 
     def close(self) -> None:
         """Stop recording frames."""
-        self.is_open = False
+        self.is_open = self._cut = False
 
     def record(self) -> None:
         """Record a frame of the current state. Call it after every reset and every step of the environment."""
-        batch, e = self._batch, self.index
-        step = int(batch.time[e])
-        if self._waiting and step == 0:
+        if self._waiting and self._environments.time[self.index] == 0:
             self._waiting = False
         if not self.is_open or self._waiting:
             return
         if len(self._frames) >= HELD:
             self.is_open = False
             return
-        self._frames.append(
-            _Frame(
-                batch.seeds(e),
-                step,
-                batch.position[e].copy(),
-                batch.assignment[e].copy(),
-                batch.link_quality[e].copy(),
-                batch.aoi[e].copy(),
-                batch.vdf[e].copy(),
-                batch.parts[e].copy(),
-                batch.gone[e].copy(),
-                batch.charge[e].copy(),
-                batch.patch_known[e].copy(),
-            )
-        )
-        if step == batch.config.world.steps:
+        self._frames.append(self._look())
+        self._since += 1
+        over = bool(self._environments.ended[self.index])
+        if self._since >= self._longest:
+            self.is_open, self._cut = False, not over
+        elif over:
             self.is_open = self.again
 
-    def take(self, skipped: int, noise_std: float, uniform: bool) -> list[ViewMessage]:
+    def take(self, skipped: int, noise_std: float, uniform: bool) -> list[M]:
         """Return the frames as messages of consecutive frames of one episode, and drop them here.
 
         Args:
@@ -98,45 +92,24 @@ class Probe:
             uniform: whether actions were drawn uniformly instead.
         """
         held, self._frames = self._frames, []
-        found: list[ViewMessage] = []
-        begin = 0
+        found: list[M] = []
+        begin = weight = 0
         for end in range(1, len(held) + 1):
-            if end == len(held) or end - begin == FRAMES or held[end].step != held[end - 1].step + 1:
+            weight += held[end - 1].weight
+            if (
+                end == len(held)
+                or end - begin == FRAMES
+                or held[end].step != held[end - 1].step + 1
+                or weight + held[end].weight > MOST_PICTURES
+            ):
                 found.append(self._message(held[begin:end], skipped, noise_std, uniform))
-                begin = end
+                begin, weight = end, 0
         return found
 
-    def _message(self, frames: list[_Frame], skipped: int, noise_std: float, uniform: bool) -> ViewMessage:
-        world = self._batch.config.world
-        aoi, vdf = np.stack([frame.aoi for frame in frames]), np.stack([frame.vdf for frame in frames])
-        parts = np.stack([frame.parts for frame in frames])
-        means = np.stack([aoi.mean(axis=1), vdf.mean(axis=(1, 2))], axis=1)
-        return ViewMessage(
-            farm=frames[0].seeds[0],
-            episode=frames[0].seeds[1],
-            first=frames[0].step,
-            skipped=skipped,
-            noise_std=noise_std,
-            uniform=uniform,
-            position=np.stack([frame.position for frame in frames]).astype(np.float32),
-            assignment=np.stack([frame.assignment for frame in frames]).astype(np.uint8),  # -1 becomes NO_RELAY
-            quality=np.stack([frame.quality for frame in frames]).astype(np.float32),
-            aoi=np.rint(aoi * (255.0 / world.aoi_max)).astype(np.uint8),
-            vdf=np.rint(vdf * (255.0 / world.vdf_max)).astype(np.uint8),
-            level=means.astype(np.float32),
-            parts=(np.add.reduceat(parts, self._starts, axis=1) / self._counts).astype(np.float32),
-            **self._optional(frames),
-        )
+    @abstractmethod
+    def _look(self) -> F:
+        """Return a frame of the current state."""
 
-    def _optional(self, frames: list[_Frame]) -> dict[str, NDArray[np.uint8]]:
-        """Return the arrays that only farms with failures, batteries or patches of stress send."""
-        config, found = self._batch.config, {}
-        if config.loses_uavs:
-            found["gone"] = np.stack([frame.gone for frame in frames]).astype(np.uint8)
-        if config.battery.some:
-            # The step that empties a battery can take more than was left.
-            share = np.maximum(np.stack([frame.charge for frame in frames]), 0.0) / config.battery.capacity
-            found["charge"] = np.rint(255.0 * share).astype(np.uint8)
-        if config.stress.patches:
-            found["known"] = np.stack([frame.known for frame in frames]).astype(np.uint8)
-        return found
+    @abstractmethod
+    def _message(self, frames: list[F], skipped: int, noise_std: float, uniform: bool) -> M:
+        """Return frames as a message."""

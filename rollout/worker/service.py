@@ -53,7 +53,7 @@ DELIVER_SECONDS = 2.0
 """How long it delivers at least, when an evaluation took all of that; a supervisor kills it after 8 s."""
 IDLE_SECONDS = 0.002
 POLL_SECONDS = 0.05
-"""Time between two looks at the learner's messages while a chunk is collected."""
+"""Time between two looks at the learner's and watchers' messages while a chunk is collected."""
 UNTAKEN = 20
 """Requests in a row that nobody took before the worker checks whether it is denied."""
 CLOCK_SECONDS = 5.0
@@ -157,7 +157,9 @@ class Worker:
         self._evaluations = EvaluationService(
             control, config, options.run, name, self._learner.store, self._late_for_evaluations
         )
-        self._view_service = ViewService(control, options.run, name, start, collector, answer.toml)
+        ended = "an earlier start of this worker was ended in a call of its environment" if self._timeouts else ""
+        self._view_service = ViewService(control, options.run, name, start, collector, answer.toml, ended)
+        self._acting = (0, *self._exploration())
         self._times, self._reporting = _Times(), threading.Lock()
         log(f"worker {name} collects for run {options.run} in {config.rollout.environments} environments.")
 
@@ -185,7 +187,7 @@ class Worker:
         self._learner.poll()
         self.sender.resend_fast(self._learner.state == "draining")
         self._evaluations.poll()
-        self._view_service.poll(self._learner.store.version, *self._exploration())
+        self._view_service.poll(*self._acting)
         actors = self._gate.actors()
         if actors is not None:
             self._collect(actors)
@@ -221,8 +223,9 @@ class Worker:
     def _collect(self, actors: TeamActors) -> None:
         started, version = monotonic(), self._learner.store.version
         self._renew_arguments()
+        self._acting = version, *self._exploration()
         try:
-            chunk = self._collector.collect(actors, *self._exploration(), goes_on=self._goes_on)
+            chunk = self._collector.collect(actors, *self._acting[1:], goes_on=self._goes_on)
         except CancelledError as error:
             log(f"worker {self._options.name}: {error}")
         else:
@@ -246,16 +249,19 @@ class Worker:
         return not self._whole or chunk.rows.steps == self._collector.chunk_steps
 
     def _goes_on(self) -> bool:
-        """Report, and return whether the chunk that is being collected should get another step.
+        """Report, serve watchers, and return whether the chunk that is being collected should get another step.
 
         A chunk that may be shorter ends once it has the steps that the learner asks for, the learner drains, or the
         worker should end. Any other goes on until only the time is left that deliveries need.
         """
         self._report_if_due()
+        due = monotonic() - self._times.polled >= POLL_SECONDS
+        if due:
+            self._times.polled = monotonic()
+            self._view_service.poll(*self._acting)
         if self._whole:
             return self._seconds_left() > DELIVER_SECONDS
-        if monotonic() - self._times.polled >= POLL_SECONDS:
-            self._times.polled = monotonic()
+        if due:
             self._learner.poll()
         asked_for = self._collector.simulated - self._collector.environment_steps >= self._gate.chunk_steps
         return not (asked_for or self._stop) and self._learner.state in COLLECTING
@@ -316,6 +322,8 @@ class Worker:
             "watchers": self._view_service.watchers,
             "shown": self._view_service.shown,
             "skipped": self._view_service.skipped,
+            "pictures": self._view_service.pictures,
+            "no_pictures": self._view_service.silence,
             "paused": self._gate.pause_reason,
             "paused_seconds": times.paused,
             "outages": self._outages.count,

@@ -1,4 +1,4 @@
-"""Watching a worker: its watchers, their leases, and the frames that it publishes.
+"""Watching a worker: its watchers, their leases, and the frames of its first environment that it publishes.
 
 Nothing is recorded or published unless somebody has asked in the last LEASE_SECONDS. A worker simulates an episode in a
 fraction of a second, but people need many seconds to watch it. So the service shows one whole episode, step by step,
@@ -7,15 +7,20 @@ and pauses until STEPS_PER_SECOND allows the next. Steps in between count as ski
 
 import time
 from collections.abc import Callable
-from typing import Final
+from dataclasses import replace
+from typing import Any, Final
 
 from eia_sec.common.errors import ConfigError, ProtocolError
 from eia_sec.common.names import check_name
 from eia_sec.common.protocol import keys
-from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
+from eia_sec.common.protocol.messages import Envelope, StepsMessage, ViewMessage, WatchRequest, WatchTerms
+from eia_sec.common.protocol.view_checks import MOST_AGENT_NAME
+from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus, Incoming
+from eia_sec.rollout.envs.base import Environments
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.farm_probe import FarmProbe
 from eia_sec.rollout.worker.probe import Probe
 
 LEASE_SECONDS: Final = 4.0
@@ -41,6 +46,7 @@ class ViewService:
         incarnation: number of this start.
         collector: the collector whose environments are shown.
         toml: the run's configuration.
+        silence: why no environment's code is to draw pictures, a sentence, or empty.
         clock: returns seconds.
 
     Attributes:
@@ -57,15 +63,14 @@ class ViewService:
         incarnation: int,
         collector: Collector,
         toml: str,
+        silence: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY, newest=True)
         self._publisher = bus.publish(keys.VIEW.key(run, worker=worker))
         self._sender = ("rollout", worker, incarnation)
         self._collector, self._clock = collector, clock
-        self._terms = WatchTerms(toml, REWARD_PARTS, LEASE_SECONDS, STEPS_PER_SECOND).encode()
-        farms = collector.environments
-        self._probe = Probe(farms, 0) if isinstance(farms, FarmBatch) else None
+        self._probe, self._terms = _probe(collector.environments, toml, silence)
         self._until: dict[str, float] = {}
         self._sequence = self.shown = self.skipped = self.refused = 0
         self._flown = self._seen = 0
@@ -75,6 +80,16 @@ class ViewService:
     def watchers(self) -> int:
         """Return the number of watchers."""
         return len(self._until)
+
+    @property
+    def pictures(self) -> int:
+        """Return the number of pictures that the environment's code has drawn."""
+        return self._probe.pictures
+
+    @property
+    def silence(self) -> str:
+        """Return why the environment's code draws no pictures, a sentence, or an empty text."""
+        return self._probe.silence
 
     def poll(self, version: int, noise_std: float, uniform: bool) -> None:
         """Answer requests, drop watchers that are gone, and publish the frames since the last call.
@@ -86,7 +101,7 @@ class ViewService:
         """
         for incoming in self._requests.waiting():
             self._answer(incoming)
-        if not self._until or self._probe is None:
+        if not self._until:
             return
         now = self._clock()
         self._until = {name: until for name, until in self._until.items() if until > now}
@@ -105,8 +120,6 @@ class ViewService:
         try:
             request = WatchRequest.decode(incoming.payload)
             check_name(request.watcher, "watcher")
-            if self._probe is None:
-                raise ConfigError("this run does not use the farm, and only the farm can be drawn.")
             if request.stay and request.watcher not in self._until and len(self._until) >= MAX_WATCHERS:
                 raise ConfigError(f"{MAX_WATCHERS} watchers are watching already.")
         except (ProtocolError, ConfigError) as error:
@@ -124,7 +137,7 @@ class ViewService:
         if new:
             self._greet(self._probe)
 
-    def _greet(self, probe: Probe) -> None:
+    def _greet(self, probe: Probe[Any, Any]) -> None:
         """Show a new watcher something soon: the running episode if nobody watched before, else the next one."""
         now = self._clock()
         if len(self._until) == 1:
@@ -135,23 +148,38 @@ class ViewService:
             self._paid = now
         self._greeted = now
 
-    def _open(self, probe: Probe, *, at_once: bool) -> None:
+    def _open(self, probe: Probe[Any, Any], *, at_once: bool) -> None:
         probe.open(at_once=at_once)
         self._collector.probe = probe
 
-    def _publish(self, probe: Probe, now: float, version: int, noise_std: float, uniform: bool) -> None:
+    def _publish(self, probe: Probe[Any, Any], now: float, version: int, noise_std: float, uniform: bool) -> None:
         for message in probe.take(self.skipped, noise_std, uniform):
             self._put(message, version)
-            self._paid = max(now, self._paid) + len(message.position) / STEPS_PER_SECOND
+            self._paid = max(now, self._paid) + message.frames / STEPS_PER_SECOND
         self.skipped = max(self.skipped, self._steps() - self._flown - self._seen)
         probe.again = self._paid - now <= SLACK_SECONDS
 
-    def _put(self, message: ViewMessage, version: int) -> None:
+    def _put(self, message: ViewMessage | StepsMessage, version: int) -> None:
         self._sequence += 1
-        self.shown += len(message.position)
-        self._seen += len(message.position) - (message.first == 0)
+        self.shown += message.frames
+        self._seen += message.frames - (message.first == 0)
         self._publisher.put(message.encode(), Envelope(*self._sender, self._sequence, version).encode())
 
     def _steps(self) -> int:
         """Return the steps of the shown environment."""
-        return self._collector.environment_steps // len(self._collector.environments.time)
+        return self._collector.simulated // len(self._collector.environments.time)
+
+
+def _probe(environments: Environments, toml: str, silence: str) -> tuple[Probe[Any, Any], bytes]:
+    """Return what records a worker's first environment, and the terms of watching it."""
+    terms = WatchTerms(toml, (), LEASE_SECONDS, STEPS_PER_SECOND)
+    if isinstance(environments, FarmBatch):
+        return FarmProbe(environments, 0), replace(terms, part_names=REWARD_PARTS).encode()
+    from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
+    from eia_sec.rollout.worker.environment_probe import EnvironmentProbe  # noqa: PLC0415  (likewise)
+
+    if not isinstance(environments, PettingZooBatch):
+        raise TypeError(f"nothing records a {type(environments).__name__}.")
+    names = tuple(printable(str(name))[:MOST_AGENT_NAME] for name in environments.names)
+    probe = EnvironmentProbe(environments, 0, STEPS_PER_SECOND, silence)
+    return probe, replace(terms, agents=names, team=environments.team.to_dict()).encode()

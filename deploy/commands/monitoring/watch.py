@@ -1,4 +1,4 @@
-"""`eia-sec watch`: one worker's farm, live in the browser."""
+"""`eia-sec watch`: one worker's first environment, live in the browser."""
 
 import logging
 import sys
@@ -11,8 +11,7 @@ from typing import Annotated, Final
 import tyro
 
 from eia_sec.common.config.checks import within
-from eia_sec.common.config.environment import FARM
-from eia_sec.common.errors import EiaSecError, UsageError
+from eia_sec.common.errors import EiaSecError
 from eia_sec.common.names import check_name
 from eia_sec.common.process import StopSignal
 from eia_sec.deploy.exit_codes import DONE
@@ -28,7 +27,7 @@ TICK_SECONDS: Final = 0.04
 
 @dataclass(frozen=True)
 class WatchArguments:
-    """Watch one worker's farm in the browser; the worker publishes it only while a page is open."""
+    """Watch a worker's farm or other environment in the browser; it is published only while a page is open."""
 
     run_dir: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN_DIR]")] = None
     """Directory of a run of this machine. Default: the run that trains here."""
@@ -66,10 +65,6 @@ def command(arguments: Sequence[str]) -> int:
     stop = StopSignal()
     stop.install()
     run, hub = chosen(options.run_dir, options.run, options.connect, options.patience, lambda: not stop), Hub()
-    if run.environment and run.environment != FARM:
-        raise UsageError(
-            f"the page draws farms, and {run.environment} is none; watch it with: eia-sec monitor {run.options}"
-        )
     with (
         reached(run, options.tls, options.patience, lambda: not stop) as bus,
         WebServer(hub, options.host, options.port, strangers=options.insecure) as server,

@@ -50,9 +50,14 @@ class Seat:
 
 
 class Hub:
-    """Passes packets from the source's thread to the threads of all connections."""
+    """Passes packets from the source's thread to the threads of all connections.
+
+    Attributes:
+        wanted: the worker that a browser has asked to see, until the source has turned to it.
+    """
 
     def __init__(self) -> None:
+        self.wanted: str | None = None
         self._lock = threading.Lock()
         self._seats: set[Seat] = set()
         self._scene: Packet | None = None

@@ -83,6 +83,7 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
     counts = {group.name: group.count for group in farm_team(farm).groups}
     types = [{"name": name, "label": LABELS[name], "colour": COLOURS[name], "count": counts[name]} for name in TYPES]
     fields = {
+        "title": "EIA-SEC farm",
         "run": run,
         "worker": worker,
         "field": [world.field_x, world.field_y],
@@ -99,7 +100,6 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
             {"name": name, "colour": PART_COLOURS[place % len(PART_COLOURS)]}
             for place, name in enumerate(terms.part_names)
         ],
-        "zone": ZONE,
         "top_speed": max(world.speed_x_max, world.speed_y_max),
         "age": list(AGE_STOPS),
         "soil": list(SOIL_STOPS),
@@ -111,8 +111,10 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
 
 
 def _conditions(farm: FarmConfig) -> dict[str, Any]:
-    """Return what the page needs of links, chains, failures, batteries and stress; empty for a farm without them."""
+    """Return what the page needs of zones, links, chains, failures, batteries and stress, for farms with them."""
     found: dict[str, Any] = {}
+    if farm.zones.some:
+        found["zone"] = ZONE
     if farm.relay.require_link:
         found["link_down"] = {"colour": LINK_DOWN, "range": farm.relay.link_range}
     if farm.relay.chained:
@@ -177,6 +179,6 @@ def _linked(message: ViewMessage, farm: FarmConfig, joined: NDArray[np.bool_]) -
     return np.stack([links_up(farm, *frame) for frame in shown]).astype(np.uint8)
 
 
-def state(sentence: str, counts: Mapping[str, int]) -> Packet:
-    """Return the state: a sentence, empty while frames arrive, and the losses by place."""
-    return pack("state", {"sentence": sentence, **counts}, {})
+def state(sentence: str, fields: Mapping[str, Any]) -> Packet:
+    """Return the state: a sentence, empty while frames arrive; whether it tells of a fault, workers, and losses."""
+    return pack("state", {"sentence": sentence, **fields}, {})

@@ -7,6 +7,7 @@ WebSockets that another site's page opens are refused.
 import http
 import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -17,6 +18,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from eia_sec.common.errors import EndpointError
+from eia_sec.common.names import is_name
 from eia_sec.deploy.monitor.web.address import own_hosts
 from eia_sec.deploy.monitor.web.hub import Hub
 
@@ -26,7 +28,7 @@ FILES: Final = {
     "/watch.css": ("watch.css", "text/css"),
     **{
         f"/{name}.js": (f"{name}.js", "text/javascript")
-        for name in ("main", "stream", "past", "field", "conditions", "marks", "charts")
+        for name in ("main", "stream", "past", "farm", "steps", "field", "conditions", "marks", "charts")
     },
 }
 """The paths that are served, with file and content type."""
@@ -152,6 +154,7 @@ class WebServer:
                 packet = seat.take(LOOK_SECONDS)
                 if packet is not None:
                     connection.send(packet.data)
+                self._listen(connection)
                 if seat.dropped != reported:
                     reported = seat.dropped
                     connection.send(f'{{"dropped": {reported}}}')
@@ -159,6 +162,15 @@ class WebServer:
             return
         finally:
             self._hub.leave(seat)
+
+    def _listen(self, connection: ServerConnection) -> None:
+        """Take the name of the worker that a browser wants to see, if it has sent one."""
+        with suppress(TimeoutError):
+            said = connection.recv(timeout=0)
+            if isinstance(said, str) and is_name(said):
+                self._hub.wanted = said
+            else:
+                self.refused += 1
 
 
 def _response(status: http.HTTPStatus, kind: str, body: bytes) -> Response:

@@ -16,9 +16,10 @@ from eia_sec.common.policy_store import PolicyStore
 from eia_sec.common.protocol import codec, frame, messages
 from eia_sec.common.protocol.bfloat16 import to_bits
 from eia_sec.common.protocol.chunk_messages import from_message, from_request, to_message, to_request
-from eia_sec.common.protocol.view_checks import check_view
+from eia_sec.common.protocol.view_checks import check_steps, check_view
 from eia_sec.rollout.sim.batch import REWARD_PARTS
-from tests.common.protocol.test_view_checks import CONDITIONS, CONFIG, a_view, a_view_of_conditions
+from tests.common.protocol.test_view_checks import CONDITIONS, CONFIG, a_view, a_view_of_conditions, some_steps
+from tests.common.protocol.test_view_checks import TEAM as STEPS_TEAM
 from tests.faults.tools.channel import TEAM, a_chunk, with_log_probabilities
 
 KINDS: Final = tuple(
@@ -59,6 +60,7 @@ def samples() -> dict[str, bytes]:
         messages.WatchRequest("somebody", True),
         messages.WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
         a_view(),
+        some_steps(),
     ]
     several = to_request([to_message(a_chunk(number), TEAM, 1, number).encode() for number in (1, 2)], 1, 2)
     logged = with_log_probabilities(a_chunk(1))
@@ -92,6 +94,8 @@ def _read(kind: type[codec.Message], data: frame.Data) -> None:
         message.to_event().check(TEAM)
     elif isinstance(message, messages.ViewMessage):
         check_view(message, CONFIG.farm, len(REWARD_PARTS))
+    elif isinstance(message, messages.StepsMessage):
+        check_steps(message, STEPS_TEAM)
 
 
 def _read_request(data: bytes) -> None:

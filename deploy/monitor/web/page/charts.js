@@ -8,7 +8,7 @@ const NICE = [1, 1.5, 2, 3, 4, 5, 6, 8, 10]; // where an axis may end, times a p
 const LEFT = 44;
 const RIGHT = 6;
 
-function frameOf(canvas, steps, low, high, ink, line, title) {
+export function frameOf(canvas, steps, low, high, ink, line, title) {
   const { pen, width, height } = prepare(canvas);
   const box = { pen, left: LEFT, right: width - RIGHT, top: 22, bottom: height - 15 };
   box.x = (step) => box.left + ((box.right - box.left) * step) / steps;

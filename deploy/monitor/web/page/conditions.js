@@ -15,6 +15,7 @@ function polygon(field, pen, corners) {
 }
 
 export function drawZones(field, pen, frame) {
+  if (!field.scene.zone) return;
   pen.lineWidth = 1.5;
   pen.strokeStyle = field.scene.zone;
   pen.fillStyle = css(rgb(field.scene.zone), 0.2);

@@ -25,6 +25,7 @@ export class Field {
   // Draws the frame at a number, and the way to the next one by a share of 0..1.
   draw(past, number, share, ink, line) {
     const { pen, width, height } = prepare(this.canvas);
+    if (Math.min(width, height) < 100) return; // the page is not laid out yet
     const frame = past.at(number);
     const [fx, fy] = this.scene.field;
     this.scale = Math.min((width - MARGIN.left - MARGIN.right) / fx, (height - MARGIN.top - MARGIN.bottom) / fy);

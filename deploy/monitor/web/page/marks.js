@@ -1,4 +1,4 @@
-// Colours, canvases, even numbers for axes, and the marks of sensors and UAVs.
+// Colours, canvases, even numbers for axes, elements, and the marks of sensors and UAVs.
 
 export const UAV = 11; // half the size of a UAV's mark, pixels
 export const LINK = { colour: "#222", dash: [2, 3] };
@@ -96,4 +96,37 @@ export function uav(pen, type, x, y, size, number, heading) {
 export function niceStep(rough) {
   const power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough * 0.999);
+}
+
+export function by(id) {
+  return document.getElementById(id);
+}
+
+// A colour of the present theme.
+export function colour(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+export function number(value, digits) {
+  return value.toFixed(digits).replace("-", "\u2212");
+}
+
+export function icon(draw) {
+  const canvas = document.createElement("canvas");
+  canvas.className = "icon";
+  queueMicrotask(() => draw(prepare(canvas).pen));
+  return canvas;
+}
+
+export function item(sign, text) {
+  const line = document.createElement("li");
+  line.append(sign, text);
+  return line;
+}
+
+export function swatch(fill) {
+  const box = document.createElement("span");
+  box.className = "swatch";
+  box.style.background = fill;
+  return box;
 }

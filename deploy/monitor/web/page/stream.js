@@ -15,12 +15,18 @@ export function unpack(buffer) {
   return { ...header, arrays };
 }
 
+// Takes packets until the page is closed; returns a function that sends a text.
 export function listen(take, lost) {
-  const socket = new WebSocket(`ws://${location.host}/stream`);
-  socket.binaryType = "arraybuffer";
-  socket.onmessage = ({ data }) => take(typeof data === "string" ? { kind: "dropped", ...JSON.parse(data) } : unpack(data));
-  socket.onclose = () => {
-    lost();
-    setTimeout(() => listen(take, lost), AGAIN_MS);
+  let socket = null;
+  const open = () => {
+    socket = new WebSocket(`ws://${location.host}/stream`);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => take(typeof data === "string" ? { kind: "dropped", ...JSON.parse(data) } : unpack(data));
+    socket.onclose = () => {
+      lost();
+      setTimeout(open, AGAIN_MS);
+    };
   };
+  open();
+  return (text) => socket.readyState === WebSocket.OPEN && socket.send(text);
 }

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import BatteryConfig, FarmConfig, RunConfig, StressConfig, WorldConfig
+from eia_sec.common.config import BatteryConfig, EnvConfig, FarmConfig, RunConfig, StressConfig, WorldConfig
 from eia_sec.common.config.farm import FailureConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.config.run import RolloutConfig
-from eia_sec.common.farm import farm_team
 from eia_sec.common.protocol.messages import Envelope, ViewMessage, WatchRequest
 from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.worker.collector import Collector
 from eia_sec.rollout.worker.view_service import ViewService
 from research.pages import pictures
@@ -66,11 +66,15 @@ CHAINED = replace(
 """The same farm with three relays and a base station."""
 
 
+DRAWN = replace(CONFIG, env=EnvConfig("tests.rollout.envs.toy_pictures:Drawn", '{"stay": 40}'))
+"""An environment that is no farm and draws its step number as a grey."""
+
+
 def some_actors(config: RunConfig = CONFIG) -> TeamActors:
     """Return actors that fly somewhere."""
-    team = farm_team(config.farm)
-    actors = TeamActors.initial(team, 8, seed=0)
-    return TeamActors(team, 8, tuple(flat * np.float32(8.0) for flat in actors.flat))
+    team = environment_spec(config).team
+    actors = TeamActors.initial(team, 8, seed=0, head="gaussian" if config is DRAWN else "deterministic")
+    return TeamActors(team, 8, tuple(flat * np.float32(8.0) for flat in actors.flat), actors.head)
 
 
 def a_collector() -> Collector:
@@ -148,7 +152,7 @@ class AWorker:
     def __init__(self) -> None:
         self.bus, self.now, self.actors = ABus(), 100.0, some_actors()
         self.collector = a_collector()
-        self.view_service = ViewService(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), lambda: self.now)
+        self.view_service = ViewService(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), clock=lambda: self.now)
 
     def fly(self, chunks: int = 1, seconds: float = 0.01) -> None:
         """Fly so many chunks, each of which takes so long."""

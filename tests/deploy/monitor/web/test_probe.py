@@ -7,7 +7,8 @@ import numpy as np
 from eia_sec.common.config import ControlConfig
 from eia_sec.common.protocol.view_checks import FRAMES, check_view
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
-from eia_sec.rollout.worker.probe import HELD, Probe
+from eia_sec.rollout.worker.farm_probe import FarmProbe
+from eia_sec.rollout.worker.probe import HELD
 from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, a_collector, some_actors
 
 WORLD = CONFIG.farm.world
@@ -16,7 +17,7 @@ WORLD = CONFIG.farm.world
 def flown(steps, opened=0, again=True, farm=CONFIG.farm):
     """Return the messages of a probe that was opened before a step of an episode, and the batch's own states."""
     batch = FarmBatch(farm, 2)
-    probe = Probe(batch, 1)
+    probe = FarmProbe(batch, 1)
     probe.again = again
     for index in range(2):
         batch.reset(index, 3 + index, 7)
@@ -55,7 +56,7 @@ def test_a_frame_has_what_only_some_farms_have():
     """Failures, charge and the patches that the team knows are the simulator's; other farms send none of them."""
     farm = CONDITIONS.farm
     batch, random = FarmBatch(farm, 1), np.random.default_rng(0)
-    probe = Probe(batch, 0)
+    probe = FarmProbe(batch, 0)
     batch.reset(0, 4, 7)
     probe.open(at_once=True)
     gone, charge, known = [], [], []
@@ -81,7 +82,7 @@ def test_a_frame_has_what_only_some_farms_have():
 def test_an_empty_battery_is_an_empty_bar():
     """The step that empties a battery takes more than is left; what is shown ends at 0."""
     batch = FarmBatch(replace(CONDITIONS.farm, battery=replace(CONDITIONS.farm.battery, capacity=1.0)), 1)
-    probe = Probe(batch, 0)
+    probe = FarmProbe(batch, 0)
     batch.reset(0, 4, 7)
     probe.open(at_once=True)
     batch.step(np.ones((1, batch.team.environment_action_size), np.float32))
@@ -128,7 +129,7 @@ def test_what_is_flown_does_not_depend_on_who_looks():
     for watched in (False, True):
         collector = a_collector()
         if watched:
-            probe = Probe(collector.environments, 0)
+            probe = FarmProbe(collector.environments, 0)
             probe.open(at_once=True)
             collector.probe = probe
         chunks.append([collector.collect(actors, 0.3, False).rows for _ in range(6)])

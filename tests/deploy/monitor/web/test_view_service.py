@@ -39,6 +39,23 @@ def test_a_watcher_sees_the_running_episode_at_once_and_then_whole_ones():
     assert worker.view_service.skipped == 0
 
 
+def test_a_watcher_is_served_while_a_chunk_is_collected():
+    """Whoever asks in the middle of a chunk is answered there and sees its next steps, and the counts are right."""
+    worker, frames_at = AWorker(), []
+
+    def goes_on():
+        steps = worker.collector.simulated // 2
+        if steps == 4:
+            worker.bus.ask("a")
+        worker.view_service.poll(3, 0.1, False)
+        frames_at.append((steps, frames(worker)))
+        return True
+
+    worker.collector.collect(worker.actors, 0.1, False, goes_on=goes_on)
+    assert frames_at == [(step, max(0, step - 4)) for step in range(1, 11)]
+    assert worker.view_service.skipped == 0
+
+
 def test_it_stops_when_the_lease_ends():
     """A watcher that is gone without a word costs nothing more after LEASE_SECONDS."""
     worker = AWorker()

@@ -10,7 +10,7 @@ import pytest
 from eia_sec.rollout.rendering.palette import AGE_STOPS, SOIL_STOPS, rgb
 from eia_sec.rollout.sim.layout import make_layout
 from research.pages.pictures import serving
-from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, RUN, flying, until
+from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, DRAWN, RUN, flying, until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
@@ -154,31 +154,91 @@ The footer is left out of the latter: it stays at the bottom while the rest of a
 """
 
 
-@pytest.mark.parametrize("config", [CONFIG, CONDITIONS])
+PIXEL = """() => { const canvas = document.getElementById('picture');
+return [...canvas.getContext('2d').getImageData(20, 20, 1, 1).data] }"""
+DRAWN_FRAME = """(() => { const p = watching.past;
+for (let n = p.last; n > p.first; n--) { const f = p.at(n);
+    if (f.step > 5 && f.packet.arrays.ends[f.i] > (f.i ? f.packet.arrays.ends[f.i - 1] : 0)) return n } })()"""
+"""Number of the newest frame with a picture."""
+
+
+def test_the_page_shows_any_environment():
+    """The picture is that of the step, and each agent's row has its reward, action and what it saw."""
+    with looking(DRAWN) as (page, _, complaints):
+        assert "toy_pictures:Drawn" in page.inner_text("#title")
+        assert not page.is_visible("#field")
+        assert not page.is_visible("#legend-card")
+        jump(page, DRAWN_FRAME, "a frame with a picture")
+        frame = page.evaluate(
+            """() => { const f = watching.past.at(Math.floor(watching.view.head)); const a = f.packet.arrays;
+            const row = (n) => { const w = a[n].length / a[n].shape[0];
+            return [...a[n].subarray(f.i * w, (f.i + 1) * w)] };
+            return {step: f.step, sum: [...f.sum], parts: row('parts'), action: row('action'), seen: row('seen')} }"""
+        )
+        until(lambda: page.evaluate(PIXEL) == [*[frame["step"]] * 3, 255], "the picture")
+        assert f"step {frame['step']} of an episode" in page.inner_text("#headline")
+        rows = page.locator("#agents tbody tr")
+        assert rows.count() == 3
+        cells = rows.nth(0).locator("th, td").all_inner_texts()
+        numbers = [float(text.replace("\N{MINUS SIGN}", "-")) for text in (*cells[1:3], *cells[4:])]
+        wanted = [frame["parts"][0], frame["sum"][0], *frame["seen"][:3]]
+        assert cells[0].strip() == "runner_0"
+        assert numbers == pytest.approx(wanted, abs=0.051)
+        told = [float(text.replace("\N{MINUS SIGN}", "-")) for text in cells[3].split(", ")]
+        assert told == pytest.approx(frame["action"][:2], abs=0.0051)
+        assert complaints == []
+
+
+def test_a_page_that_falls_far_behind_jumps_to_the_newest_episode():
+    """It says so; whoever has stopped stays where they are."""
+    with looking() as (page, _, complaints):
+        page.evaluate("document.getElementById('speed').options[0].value = 0")
+        page.select_option("#speed", index=0)
+        page.evaluate("watching.view.head = watching.past.first")
+        more = """() => { const { past, view } = watching; const { packet } = past.at(past.last);
+            while (past.last - view.head <= 1600) past.add({...packet, first: 0}) }"""
+        page.click("#play")
+        head = page.evaluate("watching.view.head")
+        page.evaluate(more)
+        assert page.evaluate("watching.past.last - watching.view.head") > 1500
+        assert not page.is_visible("#notice")
+        assert page.evaluate("watching.view.head") == head
+        page.click("#play")
+        until(lambda: page.is_visible("#notice"), "the notice")
+        assert "steps behind: jumped to the newest episode." in page.inner_text("#notice")
+        assert page.evaluate("watching.view.head") == page.evaluate("watching.past.beginOf(watching.past.last)")
+        assert complaints == []
+
+
+@pytest.mark.parametrize("config", [CONFIG, CONDITIONS, DRAWN])
 def test_nothing_overlaps_or_sticks_out(config):
     """In wide and in narrow windows nothing lies over another or runs out of its box, and controls can be reached."""
     with looking(config) as (page, _, complaints):
-        for width, height in ((1440, 900), (1024, 768), (420, 860)):
+        for width, height in ((1440, 900), (1280, 800), (1024, 768), (390, 844)):
             page.set_viewport_size({"width": width, "height": height})
             sticking = page.evaluate(
                 """() => [...document.querySelectorAll('header *, footer *, .card *, #headline')]
-                .filter(e => e.getBoundingClientRect().right > innerWidth + 1
+                .filter(e => !e.closest('.wide')).filter(e => e.getBoundingClientRect().right > innerWidth + 1
                 || (e.children.length === 0 && e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0))
                 .map(e => e.id || e.className || e.textContent)"""
             )
             assert sticking == []
             assert page.evaluate(OVERLAPS) == []
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            if width >= 1280:
+                aside = page.locator("aside")
+                assert aside.evaluate("e => e.scrollHeight") == aside.evaluate("e => e.clientHeight")
             for name in ("#play", "#slider", "#speed", "#newest", "#theme"):
                 box = page.locator(name).bounding_box()
                 assert box["y"] >= 0
                 assert box["y"] + box["height"] <= height
-            field = page.locator("#field").bounding_box()
+            field = page.locator("#field-box").bounding_box()
             assert min(field["width"], field["height"]) >= 300
         page.click("#theme")
         assert page.evaluate("document.documentElement.dataset.theme") == "dark"
         page.set_viewport_size({"width": 1440, "height": 900})
-        page.evaluate("document.getElementById('fresh-card').style.marginTop = '-30px'")
+        above, below = ("agents-card", "rewards-card") if config is DRAWN else ("fresh-card", "legend-card")
+        page.evaluate(f"document.getElementById('{below}').style.marginTop = '-30px'")
         page.evaluate("document.getElementById('newest').style.marginLeft = '-40px'")
-        assert {"reward-card / fresh-card", "speed / newest"} <= set(page.evaluate(OVERLAPS))
+        assert {f"{above} / {below}", "speed / newest"} <= set(page.evaluate(OVERLAPS))
         assert complaints == []

@@ -1,0 +1,144 @@
+"""Environments are drawn where they can be, and train on where they cannot."""
+
+import signal
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eia_sec.common.config import EnvConfig
+from eia_sec.common.protocol.view_checks import MOST_SENTENCE
+from eia_sec.rollout.envs import guard
+from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(HERE))
+    yield
+    for name in ("toy_env", "toy_pictures"):
+        sys.modules.pop(name, None)
+    guard._theirs.clear()
+
+
+def a_batch(how="", name="toy_pictures:Drawn", **more):
+    """Return two environments in their first episode, the first of which was asked for pictures."""
+    text = "{" + ", ".join([f'"how": "{how}"', *(f'"{key}": {value}' for key, value in more.items())]) + "}"
+    batch = PettingZooBatch(EnvConfig(name, text), 2)
+    batch.ask_for_pictures(0)
+    for index in range(2):
+        batch.reset(index, 3, 7)
+    return batch
+
+
+def stepped(batch):
+    """Take a step, and return what it led to."""
+    batch.step(np.full((2, batch.team.action_size), 0.5, np.float32))
+    return batch.reward.copy(), batch.observation.copy()
+
+
+@pytest.mark.parametrize("name", ["toy_pictures:Drawn", "toy_pictures:any_keywords"])
+def test_the_environment_that_was_asked_shows_each_step(name):
+    """The first is made anew with a render_mode and shows its state; the other stays as it was."""
+    with closing(a_batch(name=name)) as batch:
+        assert (batch.picture(0) == 0).all()
+        stepped(batch)
+        assert batch.picture(0).shape == (6, 9, 3)
+        assert (batch.picture(0) == 1).all()
+        assert batch.picture(1) is None
+        assert batch.silence == ""
+
+
+def test_an_environment_is_left_alone_until_somebody_asks():
+    """Without a question no render_mode is handed over, and nothing is made twice."""
+    with closing(PettingZooBatch(EnvConfig("toy_pictures:Drawn", "{}"), 2)) as batch:
+        made = list(batch._environments)
+        batch.reset(0, 3, 7)
+        assert [environment.wrapped.render_mode for environment in made] == [None, None]
+        assert batch._environments == made
+
+
+@pytest.mark.parametrize(
+    ("how", "name", "said"),
+    [
+        ("", "toy_env:Relay", "toy_env:Relay takes no render_mode."),
+        (
+            "making",
+            "toy_pictures:Drawn",
+            "render_mode='rgb_array') raised RuntimeError: no display",
+        ),
+        ("deaf", "toy_pictures:Drawn", "does not heed render_mode='rgb_array'"),
+        ("team", "toy_pictures:Drawn", "has other agents with render_mode='rgb_array'"),
+        ("actions", "toy_pictures:Drawn", "has other agents with render_mode='rgb_array'"),
+        ("raises", "toy_pictures:Drawn", "render() raised ValueError: no such brush"),
+        ("text", "toy_pictures:Drawn", "render() gave 'a picture'; PettingZoo asks for a picture"),
+    ],
+)
+def test_where_no_picture_comes_the_episode_goes_on_and_it_is_said(how, name, said):
+    """Whatever is wrong with pictures, rewards and observations are those of an environment that nobody watches."""
+    arguments = f'{{"how": "{how}"}}' if how else "{}"
+    with (
+        closing(PettingZooBatch(EnvConfig(name, arguments), 2)) as watched,
+        closing(PettingZooBatch(EnvConfig(name, arguments), 2)) as alone,
+    ):
+        watched.ask_for_pictures(0)
+        for batch in (watched, alone):
+            for index in range(2):
+                batch.reset(index, 3, 7)
+        for _ in range(3):
+            assert watched.picture(0) is None
+            for found, wanted in zip(stepped(watched), stepped(alone), strict=True):
+                np.testing.assert_array_equal(found, wanted)
+        assert said in watched.silence
+        assert "\n" not in watched.silence
+        assert len(watched.silence) <= MOST_SENTENCE
+        assert alone.silence == ""
+
+
+def test_the_users_own_render_mode_counts():
+    """Where the run's arguments name a mode, it is theirs."""
+    with closing(a_batch(render_mode="null")) as batch:
+        assert batch.picture(0) is None
+        assert "arguments set render_mode" in batch.silence
+    with closing(a_batch(render_mode='"rgb_array"')) as batch:
+        assert batch.picture(1) is not None
+
+
+def test_a_picture_that_takes_too_long_is_given_up(monkeypatch):
+    """It is interrupted, the next ones are not tried, and the alarm signal is as it was."""
+    monkeypatch.setattr(guard, "RENDER_SECONDS", 0.2)
+    before = signal.getsignal(signal.SIGALRM)
+    with closing(a_batch("hangs")) as batch:
+        assert batch.picture(0) is None
+        assert "it took longer than 0.2 s" in batch.silence
+        assert signal.getsignal(signal.SIGALRM) == before
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+        stepped(batch)
+        assert batch.time.tolist() == [1, 1]
+
+
+def test_a_picture_that_nothing_interrupts_ends_the_process():
+    """The watchdog ends the process after PICTURE_SECONDS, although calls have no limit, and notes it."""
+    program = (
+        "from eia_sec.rollout.envs import guard, watchdog\n"
+        "from tests.rollout.envs import test_pictures\n"
+        "guard.RENDER_SECONDS, watchdog.PICTURE_SECONDS, watchdog.PERIOD_SECONDS = 0.1, 0.3, 0.05\n"
+        "batch = test_pictures.a_batch('stubborn')\n"
+        "watchdog.Watchdog(0.0, lambda: None, timed_out=lambda: print('noted', flush=True))\n"
+        "batch.picture(0)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(HERE)!r})\n{program}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "noted" in ended.stdout
+    assert "has been in render()" in ended.stderr
