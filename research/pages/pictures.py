@@ -2,8 +2,9 @@
 
     python -m research.pages.pictures [FOLDER]      # docs/images; needs Playwright and a Chromium
 
-`watch.png` is the page of `eia-sec watch` while a worker flies that policy, `replay.png` one picture of a film against
-the strongest heuristic. `pictures.json` says which parameters they show, by the start of their digest, and a test
+`watch.png` is the page of `eia-sec watch` while a worker flies that policy, `watch-mpe.png` the same page while
+untrained agents act in an environment that is no farm, `replay.png` one picture of a film against the strongest
+heuristic. `pictures.json` says which parameters they show, by the start of their digest, and a test
 compares it with the policy's.
 """
 
@@ -14,13 +15,14 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from eia_sec.common.actors import TeamActors
-from eia_sec.common.config import RunConfig
+from eia_sec.common.config import EnvConfig, IppoConfig, RunConfig
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.config.presets import preset
+from eia_sec.common.config.run import RolloutConfig
 from eia_sec.common.errors import EiaSecError, UsageError
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import Presence
@@ -31,6 +33,7 @@ from eia_sec.deploy.monitor.web.server import WebServer
 from eia_sec.deploy.monitor.web.source import Source
 from eia_sec.deploy.policies.replay import Comparison, scenes_of
 from eia_sec.deploy.reports.provenance import provenance
+from eia_sec.rollout.envs.registry import environment_spec
 from eia_sec.rollout.rendering.side_by_side import SideBySidePicture
 from eia_sec.rollout.shipped_policies import shipped_file
 from eia_sec.rollout.worker.collector import Collector
@@ -43,10 +46,12 @@ SHOWN = "trained:eia-sec"
 FARM, STEP = 1003, 300
 """Farm and step of the film's picture; the page shows the worker's own farm at that step."""
 PATIENCE = 120.0
-FIND = f"""() => {{ if (!window.watching) return -1;
+OTHER, OTHER_STEP = "mpe2:simple_spread_v3", 20
+"""An environment that is no farm, and the step of it that the page shows."""
+FIND = """wanted => { if (!window.watching) return -1;
 const p = watching.past; const step = (n) => n >= p.first && p.at(n) ? p.at(n).step : -1;
-for (let n = p.first; n <= p.last; n++) if (step(n) === {STEP} && step(n - {STEP - 1}) === 1) return n;
-return -1 }}"""
+for (let n = p.first; n <= p.last; n++) if (step(n) === wanted && step(n - wanted + 1) === 1) return n;
+return -1 }"""
 """Number of the frame of that step of an episode that was seen from its start, or -1."""
 
 
@@ -112,7 +117,20 @@ def serving(endpoint: Endpoint, run: str) -> Iterator[str]:
             thread.join()
 
 
-def watch_picture(path: Path) -> None:
+def farm_page(path: Path) -> None:
+    """Save the page while a worker flies the policy that ships."""
+    _page(path, flying(preset("eia-sec"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER), STEP)
+
+
+def environment_page(path: Path) -> None:
+    """Save the page while untrained agents act in an environment that is no farm."""
+    rollout = RolloutConfig(environments=1, chunk_steps=25)
+    config = RunConfig(env=EnvConfig(OTHER), rollout=rollout, algorithm=IppoConfig())
+    actors = TeamActors.initial(environment_spec(config).team, config.algorithm.hidden, 0, head="gaussian")
+    _page(path, flying(config, actors, RUN, WORKER), OTHER_STEP)
+
+
+def _page(path: Path, worker: AbstractContextManager[tuple[Endpoint, ViewService]], step: int) -> None:
     """Save the page at a step in the middle of an episode, as a browser shows it.
 
     Raises:
@@ -124,7 +142,6 @@ def watch_picture(path: Path) -> None:
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise UsageError("there is no Chromium on the path; name one in the variable CHROMIUM.")
-    worker = flying(preset("eia-sec"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER)
     with worker as (endpoint, _), serving(endpoint, RUN) as address, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
@@ -132,7 +149,7 @@ def watch_picture(path: Path) -> None:
         place, deadline = -1, time.monotonic() + PATIENCE
         while place < 0 and time.monotonic() < deadline:
             time.sleep(0.2)
-            place = page.evaluate(FIND)
+            place = page.evaluate(FIND, step)
         if place < 0:
             raise EiaSecError("the page did not show the wanted step in time.")
         page.click("#play")
@@ -144,13 +161,14 @@ def watch_picture(path: Path) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Make both pictures and note whose they are."""
+    """Make the pictures and note whose they are."""
     folder = Path(arguments[0]) if arguments else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     # Before the pictures, which would make a commit that holds them look changed.
     notes = {**provenance("research.pages.pictures"), "policy": load_policy(shipped_file(SHOWN))[0].digest()[:16]}
     replay_picture(folder / "replay.png")
-    watch_picture(folder / "watch.png")
+    farm_page(folder / "watch.png")
+    environment_page(folder / "watch-mpe.png")
     (folder / "pictures.json").write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
 
 

@@ -12,4 +12,4 @@ def test_the_pictures_are_of_the_policy_that_ships():
     notes = json.loads((FOLDER / "pictures.json").read_text(encoding="utf-8"))
     assert load_policy(shipped_file(SHOWN))[0].digest().startswith(notes["policy"])
     assert len(notes["policy"]) == 16
-    assert {path.name for path in FOLDER.glob("*.png")} >= {"watch.png", "replay.png"}
+    assert {path.name for path in FOLDER.glob("*.png")} >= {"watch.png", "watch-mpe.png", "replay.png"}
