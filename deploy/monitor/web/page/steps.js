@@ -144,11 +144,10 @@ function pictureOf(past, at) {
   return null;
 }
 
-// An agent's action: numbers, or which of how many options.
+// An agent's action: its numbers, or which options it took.
 function told(agent, actions) {
   const mine = [...actions.subarray(agent.begin, agent.end)];
-  const { choices } = agent.type;
-  const shown = mine.slice(0, MOST_NUMBERS)
-    .map((value, k) => (choices.length ? `${Math.round(value)} of 0\u2013${choices[k] - 1}` : number(value, 2)));
-  return shown.join(", ") + (mine.length > MOST_NUMBERS ? ", \u2026" : "");
+  const chose = agent.type.choices.length > 0;
+  const shown = mine.slice(0, MOST_NUMBERS).map((value) => (chose ? String(Math.round(value)) : number(value, 2)));
+  return (chose ? "option " : "") + shown.join(", ") + (mine.length > MOST_NUMBERS ? ", \u2026" : "");
 }
