@@ -84,7 +84,7 @@ class Presence:
 
     def __init__(self, bus: Bus, run: str, role: str, name: str, incarnation: int) -> None:
         self._token = bus.announce(keys.LIVE.key(run, role=role, name=name))
-        self._publisher: Publisher = bus.publish(keys.METRIC.key(run, role=role, name=name))
+        self._publisher: Publisher = bus.publish(keys.METRIC.key(run, role=role, name=name), keys.METRIC.encoding)
         self._sender = (role, name, incarnation)
         name_process(role, name)
         self._credentials, self._logged = bus.credentials, ""

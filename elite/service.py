@@ -88,7 +88,7 @@ class Coordinator:
         self._parts = config.imitates and config.learns_on_policy and config.on_policy.shared_until < 1.0
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._tokens = control.watch(keys.LIVE.pattern(options.run, role="rollout"), 1024)
-        self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run))
+        self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run), keys.IMITATION_EVENT.encoding)
         start = new_incarnation()
         self._presence = Presence(control, options.run, "elite", options.name, start)
         self._envelope = Envelope("elite", options.name, start, 1).encode()

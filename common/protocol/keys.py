@@ -73,6 +73,11 @@ class KeyFamily:
     root: str = ""
 
     @property
+    def encoding(self) -> str:
+        """Zenoh's encoding of what is published on these keys: bytes, and the message in them; empty for the others."""
+        return f"application/octet-stream;{ROOT}/{self.messages[0]}" if self.delivery in ("state", "lossy") else ""
+
+    @property
     def shown(self) -> str:
         """The template as tables show it: a family of no run with its root."""
         return f"{self.root}/{self.template}" if self.root else self.template

@@ -344,20 +344,22 @@ class Bus:
         """Send a request whose answer is waited for later; `ask` does both at once, for less haste."""
         return Request(self._request(key, payload, timeout, b""))
 
-    def publish(self, key: str) -> Publisher:
-        """Publish lossy puts on a key."""
-        return Publisher(self._open().declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP))
+    def publish(self, key: str, encoding: str = "") -> Publisher:
+        """Publish lossy puts on a key; the encoding tells other programs what they are."""
+        session, drop = self._open(), zenoh.CongestionControl.DROP
+        return Publisher(session.declare_publisher(key, encoding=zenoh.Encoding(encoding), congestion_control=drop))
 
     def subscribe(self, key: str, capacity: int) -> Subscription:
         """Receive lossy puts; at most `capacity` wait, and a new one replaces the oldest."""
         return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)), capacity)
 
-    def publish_state(self, key: str) -> Publisher:
+    def publish_state(self, key: str, encoding: str = "") -> Publisher:
         """Publish a state: late joiners get the latest value, and receivers notice gaps."""
         return Publisher(
             ext.declare_advanced_publisher(
                 self._open(),
                 key,
+                encoding=zenoh.Encoding(encoding),
                 cache=ext.CacheConfig(1),
                 sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
                 publisher_detection=True,

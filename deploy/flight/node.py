@@ -75,7 +75,8 @@ class FlightNode:
         run, vehicles = options.run, pilot.vehicles
         self._incoming = {name: bus.subscribe(keys.POSE.key(run, vehicle=name), WAITING) for name in vehicles}
         flown = [name for name, vehicle in vehicles.items() if vehicle.flown]
-        self._outgoing = {name: bus.publish(keys.SETPOINT.key(run, vehicle=name)) for name in flown}
+        encoding = keys.SETPOINT.encoding
+        self._outgoing = {name: bus.publish(keys.SETPOINT.key(run, vehicle=name), encoding) for name in flown}
         self._presence = Presence(bus, run, "flight", options.name, options.start)
         self._reported = 0.0
         self._said: list[str] = []

@@ -105,7 +105,7 @@ class VehicleLink:
         monotonic: Callable[[], float] = time.monotonic,
         heights: tuple[float, float] = HEIGHTS,
     ) -> None:
-        self._publisher = bus.publish(keys.POSE.key(run, vehicle=vehicle))
+        self._publisher = bus.publish(keys.POSE.key(run, vehicle=vehicle), keys.POSE.encoding)
         self._setpoints = bus.subscribe(keys.SETPOINT.key(run, vehicle=vehicle), WAITING)
         self._vehicle, self._agent, self._fastest, self._heights = vehicle, agent, fastest, heights
         self._clock, self._monotonic = clock, monotonic

@@ -19,8 +19,8 @@ class ParameterPublisher:
     """
 
     def __init__(self, bus: Bus, run: str, epoch: int, trainer: Trainer) -> None:
-        self._parameters = bus.publish_state(keys.PARAMETERS.key(run))
-        self._progress = bus.publish_state(keys.PROGRESS.key(run))
+        self._parameters = bus.publish_state(keys.PARAMETERS.key(run), keys.PARAMETERS.encoding)
+        self._progress = bus.publish_state(keys.PROGRESS.key(run), keys.PROGRESS.encoding)
         self._epoch, self._trainer = epoch, trainer
         self._published = -1
 

@@ -36,9 +36,9 @@ def keys_table() -> str:
     )
 
 
-def frame_table() -> str:
-    """Return the layout of a frame."""
-    rows = [
+def frame_rows() -> list[list[str]]:
+    """Return which bytes of a frame are what."""
+    return [
         ["0..3", "`EIAS`"],
         ["4", f"version of the protocol, {PROTOCOL}"],
         ["5", "kind of the message"],
@@ -49,7 +49,11 @@ def frame_table() -> str:
         ["24..", 'header: msgpack of `{"fields": {...}, "arrays": [[name, dtype, shape], ...]}`'],
         ["24 + H..", "body: the arrays, row-major, one after another"],
     ]
-    return table(["bytes", "what"], rows)
+
+
+def frame_table() -> str:
+    """Return the layout of a frame."""
+    return table(["bytes", "what"], frame_rows())
 
 
 def messages_tables() -> str:
@@ -104,15 +108,16 @@ def kind_table(kind: type[Any], title: str) -> str:
     assert is_dataclass(kind)
     summary = (inspect.getdoc(kind) or "").split("\n\n", maxsplit=1)[0]
     hints, docs = get_type_hints(kind), attribute_docs(kind)
-    rows = [[f"`{item.name}`", _type(hints[item.name]), docs.get(item.name, "-")] for item in fields(kind)]
+    rows = [[f"`{item.name}`", type_name(hints[item.name]), docs.get(item.name, "-")] for item in fields(kind)]
     return f"{title}\n\n{' '.join(summary.split())}\n\n{table(['field', 'type', 'meaning'], rows)}\n\n"
 
 
-def _type(hint: Any) -> str:
+def type_name(hint: Any) -> str:
+    """Return the name of a field's type, as pages write it."""
     if get_origin(hint) is np.ndarray:
         return f"{np.dtype(get_args(get_args(hint)[1])[0])} array"
     if get_origin(hint) is tuple:
-        inner = list(dict.fromkeys(_type(part) for part in get_args(hint) if part is not Ellipsis))
+        inner = list(dict.fromkeys(type_name(part) for part in get_args(hint) if part is not Ellipsis))
         return f"list of {' and '.join(inner)}"
     if get_origin(hint) is list:
         return "list"
@@ -122,4 +127,4 @@ def _type(hint: Any) -> str:
     if hint in known:
         return known[hint]
     choices = [part for part in get_args(hint) if part is not type(None)]
-    return f"{_type(choices[0])} or null" if choices else str(hint.__name__)
+    return f"{type_name(choices[0])} or null" if choices else str(hint.__name__)

@@ -1,4 +1,4 @@
-"""Refreshes the generated blocks and pictures of README and docs: `python -m research.pages.pages`, or `make docs`."""
+"""Refreshes what is generated in README and docs: `python -m research.pages.pages`, or `make docs`."""
 
 import argparse
 import sys
@@ -15,6 +15,7 @@ from research.pages import (
     environment_tables,
     incidents,
     monitoring_tables,
+    protocol_schema,
     reliability_table,
     reproduce_tables,
     security_tables,
@@ -83,11 +84,12 @@ PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
 }
 """Every page with generated blocks: its path, and what makes each block."""
 
-PICTURES: Final[Mapping[str, Callable[[Path], None]]] = {
+FILES: Final[Mapping[str, Callable[[Path], None]]] = {
     "docs/images/densities.png": draw_densities,
     "docs/images/farm.png": environment_tables.draw_farm,
+    "docs/reference/protocol.json": protocol_schema.write,
 }
-"""Every picture that follows from the code: its path, and the function that draws it."""
+"""Every picture and file that follows from the code: its path, and the function that makes it."""
 
 
 def refreshed(page: str, root: Path) -> str:
@@ -109,9 +111,9 @@ def main(arguments: list[str]) -> None:
         (root / page).write_text(refreshed(page, root), encoding="utf-8")
     for folder in reproduce_tables.studies(root):
         (folder / "README.md").write_text(reproduce_tables.written(folder), encoding="utf-8")
-    for name, draw in PICTURES.items():
+    for name, make in FILES.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
-        draw(root / name)
+        make(root / name)
 
 
 if __name__ == "__main__":

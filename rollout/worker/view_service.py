@@ -67,7 +67,7 @@ class ViewService:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY, newest=True)
-        self._publisher = bus.publish(keys.VIEW.key(run, worker=worker))
+        self._publisher = bus.publish(keys.VIEW.key(run, worker=worker), keys.VIEW.encoding)
         self._sender = ("rollout", worker, incarnation)
         self._collector, self._clock = collector, clock
         self._probe, self._terms = _probe(collector.environments, toml, silence)

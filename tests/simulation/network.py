@@ -335,11 +335,11 @@ class SimulatedBus:
             raise BusError(f"refused: {request.refused[:200]}")
         return request.answer
 
-    def publish(self, key: str) -> Publisher:
+    def publish(self, key: str, encoding: str = "") -> Publisher:
         """Publish lossy puts."""
         return Publisher(self._network, self._process, key, state=False)
 
-    def publish_state(self, key: str) -> Publisher:
+    def publish_state(self, key: str, encoding: str = "") -> Publisher:
         """Publish a state."""
         publisher = Publisher(self._network, self._process, key, state=True)
         self._network.publishers.append(publisher)

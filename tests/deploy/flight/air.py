@@ -48,7 +48,7 @@ class Air:
     def __init__(self):
         self.queues = defaultdict(list)
 
-    def publish(self, key):
+    def publish(self, key, encoding=""):
         return _Publisher(self, key)
 
     def subscribe(self, key, capacity):

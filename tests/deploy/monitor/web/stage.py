@@ -121,7 +121,7 @@ class ABus:
         """Return what is polled for requests."""
         return self
 
-    def publish(self, key: str) -> "ABus":
+    def publish(self, key: str, encoding: str = "") -> "ABus":
         """Return what is put on."""
         return self
 
