@@ -37,12 +37,15 @@ def test_quick_work_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_work_goes_on_where_standard_error_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that cannot be written is left out."""
-    clock = seconds(60.0)
+    clock, done = seconds(60.0), []
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     with open("/dev/full", "w", encoding="utf-8", buffering=1) as full, progress("evaluating") as tell:
         monkeypatch.setattr(sys, "stderr", full)
-        tell(0.5)
+        for share in (0.25, 0.5):
+            tell(share)
+            done.append(share)
         monkeypatch.undo()
+    assert done == [0.25, 0.5]
 
 
 def test_parts_add_up() -> None:
