@@ -35,7 +35,7 @@ from eia_sec.learner.process import reporter, schedule
 from eia_sec.learner.process import service as learner_service
 from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.service import Learner
-from eia_sec.rollout.worker import evaluation_service
+from eia_sec.rollout.worker import evaluation_service, view_service
 from eia_sec.rollout.worker import service as worker_service
 from eia_sec.rollout.worker.outages import Outages
 from eia_sec.rollout.worker.service import Worker, WorkerOptions
@@ -571,6 +571,7 @@ def simulated(simulation: Simulation) -> Iterator[None]:
         (schedule, "REPORT_SECONDS", REPORT_SECONDS),
         (worker_service, "REPORT_SECONDS", REPORT_SECONDS),
         (reporter, "TensorBoardWriter", lambda *arguments: mock.MagicMock(failure="")),
+        (view_service, "_probe", lambda *arguments: (SimpleNamespace(pictures=0, silence=""), b"")),
         (learner_service, "warm_up", lambda *arguments: None),
         (learner_service, "make_trainer", trainer),
         (worker_service, "read_saved", read_saved),
