@@ -14,6 +14,7 @@ from typing import Final, NoReturn
 
 from eia_sec.common.errors import TerminatedError, UsageError
 from eia_sec.common.log import FORMAT, FORMATS
+from eia_sec.common.spelling import did_you_mean
 from eia_sec.deploy.exit_codes import INTERRUPTED, run_command
 from eia_sec.deploy.local.memory import keep_freed_memory
 from eia_sec.deploy.local.threads import thread_environment
@@ -30,6 +31,11 @@ class Command:
 
     module: str
     summary: str
+
+    @property
+    def internal(self) -> bool:
+        """Whether only other commands call it."""
+        return self.summary.startswith("internal")
 
 
 COMMANDS: Final = {
@@ -94,7 +100,7 @@ def overview() -> str:
     """Return the text of `eia-sec --help`."""
     lines = [f"  {name:<10}{command.summary}" for name, command in COMMANDS.items()]
     hints = [
-        "eia-sec COMMAND --help shows its options.",
+        "eia-sec COMMAND --help shows its options, and those of train and learner with --help-all all settings, too.",
         "Each command takes --log-format text or json: how it and the processes that it starts write their logs.",
         "Each command takes --plugin NAME, any number of times: a package of yours whose code it runs.",
     ]
@@ -168,7 +174,8 @@ def dispatch(arguments: list[str]) -> int:
     arguments, named = without_plugins(without_log_format(arguments))
     command = COMMANDS.get(arguments[0])
     if command is None:
-        raise UsageError(f"unknown command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
+        meant = did_you_mean(arguments[0], [name for name, one in COMMANDS.items() if not one.internal])
+        raise UsageError(f"unknown command {arguments[0]!r}{meant or '.'} The commands are {', '.join(COMMANDS)}.")
     # Before numpy is loaded: a process that starts as many compute threads as there are cores slows all the others.
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)

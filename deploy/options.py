@@ -1,8 +1,8 @@
 """From a command line to a configuration: preset, file, algorithm, farm file, options; the later ones win."""
 
 import contextlib
+import inspect
 import io
-import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -11,29 +11,19 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import tyro
-from tyro.constructors import (
-    ConstructorRegistry,
-    PrimitiveConstructorSpec,
-    PrimitiveTypeInfo,
-    StructConstructorSpec,
-    StructTypeInfo,
-)
 
 from eia_sec.common import plugins
 from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
 from eia_sec.common.config.environment import FARM
-from eia_sec.common.config.farm.sites import Sites
-from eia_sec.common.config.farm.stress import Areas
-from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.files import from_toml, with_setting
 from eia_sec.common.config.maps import FrozenMap
-from eia_sec.common.config.plugin_names import PluginNames
 from eia_sec.common.config.presets import PRESETS, preset, preset_for
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import require_farm
 from eia_sec.deploy.exit_codes import USAGE
 from eia_sec.deploy.local.run_directory import RunDirectory
+from eia_sec.deploy.option_forms import refusal, registry
 
 T = TypeVar("T")
 
@@ -49,36 +39,9 @@ PRESET_HELP: Final = (
     "has generic."
 )
 
-_REGISTRY: Final = ConstructorRegistry()
-
+HELP_ALL: Final = "--help-all"
 
 NO_FARM: Final = "--farm-file needs the farm, and this run uses {}."
-
-
-@_REGISTRY.struct_rule
-def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Make no option for sensor positions, zones and areas, which `--farm-file` reads, nor for plug-ins."""
-    return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones, Areas, PluginNames) else None
-
-
-@_REGISTRY.primitive_rule
-def _map_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Mapping[str, Any]] | None:
-    """Read a map as KEY=VALUE ..., each an argument of its own."""
-    if info.type_origin is not Mapping:
-        return None
-    value = get_args(info.type)[1]
-
-    def read(words: list[str]) -> Mapping[str, Any]:
-        pairs = [word.partition("=") for word in words]
-        if not all(key and equals for key, equals, _ in pairs):
-            raise ValueError("entries are KEY=VALUE, with spaces between")
-        return FrozenMap({key: value(text) for key, _, text in pairs})
-
-    def written(entries: Mapping[str, Any]) -> list[str]:
-        return [f"{key}={entry}" for key, entry in entries.items()]
-
-    kind = "TEXT" if value is str else value.__name__.upper()
-    return PrimitiveConstructorSpec("*", f"[KEY={kind} ...]", read, lambda held: isinstance(held, Mapping), written)
 
 
 def _with_entries(given: Any, parsed: Any) -> Any:
@@ -186,7 +149,19 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
             given = getattr(default, "settings", None)
             if isinstance(given, RunConfig):
                 _refuse_without_effect(given, spelt)
-            parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
+            whole = HELP_ALL in spelt or not isinstance(given, RunConfig)
+            few = not whole and bool({"-h", "--help"} & set(spelt))
+            words = ["--help" if word == HELP_ALL else word for word in spelt]
+            told = inspect.cleandoc(kind.__doc__ or "")
+            told += f"\n{HELP_ALL} shows the other settings too; docs/reference/configuration.md explains them." * few
+            parsed = tyro.cli(
+                kind,
+                args=words,
+                prog=f"eia-sec {name}",
+                description=told,
+                default=default,
+                registry=registry(most_used=few),
+            )
         settings = getattr(parsed, "settings", None)
         if isinstance(given, RunConfig) and isinstance(settings, RunConfig):
             env, algorithm = _with_entries(given.env, settings.env), _with_entries(given.algorithm, settings.algorithm)
@@ -200,7 +175,9 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
     except SystemExit as stop:
         if stop.code != USAGE:  # --help, or a signal that came meanwhile
             raise
-        raise UsageError(f"{_sentence(complaint.getvalue())} (eia-sec {name} --help lists the options)") from None
+        said = refusal(complaint.getvalue(), _subcommands(kind))
+        page = HELP_ALL if isinstance(given, RunConfig) else "--help"
+        raise UsageError(f"{said}{'' if said.endswith('?') else '.'} Options: eia-sec {name} {page}.") from None
 
 
 def _keys(arguments: Sequence[str]) -> list[str]:
@@ -265,14 +242,15 @@ def _joined(arguments: list[str], option: str) -> list[str]:
     return [*others[:at], option, *values, *others[at:]] if values else arguments
 
 
-def _sentence(box: str) -> str:
-    """Return tyro's error message, which it draws in a box, as one line."""
-    rows = [line.strip("│╭╮╰╯─ ") for line in box.splitlines()]
-    lines = [line for line in rows if line.strip("-")]
-    reason = " ".join(itertools.takewhile(bool, rows[1:])) or "invalid command line"
-    close = next((line.split()[0] for line in lines[2:] if line.startswith("--")), None)
-    meant = f"; did you mean {close}" if close and reason.startswith("Unrecognized") else ""
-    return reason.rstrip(".") + meant
+def _subcommands(kind: type[Any]) -> list[str]:
+    """Return the words of which a command needs one; none where it has options only."""
+    members = [member for hint in get_type_hints(kind, include_extras=True).values() for member in _members(hint)]
+    return [one.name for member in members for one in getattr(member, "__metadata__", ()) if hasattr(one, "name")]
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    """Return the parts of a union, which may be annotated."""
+    return get_args(hint.__origin__) if hasattr(hint, "__metadata__") else get_args(hint)
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:

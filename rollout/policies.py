@@ -23,6 +23,7 @@ from eia_sec.common.errors import PolicyError
 from eia_sec.common.farm import farm_of, farm_team
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.seeds import stream
+from eia_sec.common.spelling import did_you_mean
 from eia_sec.common.team import Float32, TeamSpec, described
 from eia_sec.rollout.envs.base import Environments
 from eia_sec.rollout.heuristics.random import RandomPolicy
@@ -161,7 +162,8 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
     if is_file(Path(name)):
         return trained_policy(Path(name), config)
     raise PolicyError(
-        f"there is no policy {name!r}: give one of {', '.join(POLICIES)}, TASK+{'|'.join(RELAYS)}, or a policy file."
+        f"there is no policy {name!r}{did_you_mean(name, POLICIES) or '.'} Give one of {', '.join(POLICIES)}, "
+        f"TASK+{'|'.join(RELAYS)}, or a policy file."
     )
 
 

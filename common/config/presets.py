@@ -12,6 +12,7 @@ from eia_sec.common.config.environment import FARM
 from eia_sec.common.config.files import from_toml, with_values
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.spelling import did_you_mean
 
 DEFAULT: Final = """
 [algorithm.discounts]
@@ -324,5 +325,6 @@ def preset_for(environment: str) -> str:
 def preset(name: str) -> RunConfig:
     """Return the preset of this name; raise ConfigError when there is none."""
     if name not in PRESETS:
-        raise ConfigError(f"there is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
+        meant = did_you_mean(name, PRESETS)
+        raise ConfigError(f"there is no preset {name!r}{meant or '.'} The presets are {', '.join(PRESETS)}.")
     return PRESETS[name]

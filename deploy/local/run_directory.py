@@ -75,6 +75,11 @@ def require_no_links(run_dir: Path) -> None:
                 raise RunDirError(f"{path} is a symbolic link, and a run writes inside its directory only; remove it.")
 
 
+def no_run(path: Path, name: str = CONFIG) -> str:
+    """Return the sentence about a folder in which a run's file is missing, or which is missing itself."""
+    return f"{path} is not a run directory: it has no {name}." if path.is_dir() else f"there is no directory {path}."
+
+
 class RunDirectory:
     """A folder with config.toml, team.json, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 
@@ -203,7 +208,7 @@ class RunDirectory:
         """
         held = self.path / CONFIG
         if not held.exists():
-            raise RunDirError(f"{self.path} holds no {CONFIG}; is it a run directory?")
+            raise RunDirError(no_run(self.path, CONFIG))
         return read_saved(held)
 
     def holds_run(self) -> bool:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from eia_sec.common.errors import RunDirError
 from eia_sec.common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
 from eia_sec.deploy.local.file_ends import last_lines
-from eia_sec.deploy.local.run_directory import HISTORY, METRICS
+from eia_sec.deploy.local.run_directory import HISTORY, METRICS, no_run
 from eia_sec.deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
 LAST_BYTES: Final = 2**20
@@ -159,7 +159,7 @@ def audit(run_dir: Path) -> Audit:
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():
-        raise RunDirError(f"{run_dir} has no {HISTORY}/learner.jsonl; is it a run directory?")
+        raise RunDirError(no_run(run_dir, f"{HISTORY}/learner.jsonl"))
     found = Audit()
     received = _learner(_records(folder / "learner.jsonl", found), found)
     if not (found.starts or received or found.damaged):  # a start that is damaged is named instead

@@ -19,6 +19,7 @@ from eia_sec.common.config.algorithms.off_policy import (
 )
 from eia_sec.common.config.algorithms.on_policy import EiaPpoConfig, IppoConfig, MappoConfig, OnPolicyConfig
 from eia_sec.common.errors import ConfigError
+from eia_sec.common.spelling import did_you_mean
 
 __all__ = [
     "ALGORITHMS",
@@ -74,7 +75,8 @@ def algorithm_class(name: str) -> type[AlgorithmConfig]:
     """Return the configuration class of an algorithm; raise ConfigError when there is none."""
     if name in ALGORITHM_CONFIGS:
         return ALGORITHM_CONFIGS[name]
-    raise ConfigError(f"algorithm.name must be one of {', '.join(ALGORITHM_CONFIGS)}, not {name!r}.")
+    meant = did_you_mean(name, ALGORITHM_CONFIGS) or "."
+    raise ConfigError(f"algorithm.name must be one of {', '.join(ALGORITHM_CONFIGS)}, not {name!r}{meant}")
 
 
 def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:

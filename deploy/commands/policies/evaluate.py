@@ -19,7 +19,7 @@ from eia_sec.common.farm import require_farm
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE
-from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
 from eia_sec.deploy.local.served_environments import reached, when_served
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from eia_sec.deploy.progress import part, progress
@@ -195,9 +195,6 @@ def configuration_of(arguments: EvaluateArguments, farm_only: str | None = None)
     config = PRESETS[preset_of(arguments.policy)]
     folder = arguments.run_dir or arguments.against
     if folder is not None:
-        path = folder / CONFIG
-        if not path.is_file():
-            raise RunDirError(f"{folder} is not a run directory: it has no {CONFIG}.")
         config = RunDirectory(folder).configuration()
     if arguments.config is not None:
         config = from_toml(arguments.config, config)

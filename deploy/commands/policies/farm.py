@@ -26,8 +26,8 @@ from eia_sec.rollout.farm_files import read_farm, write_farm
 class Source:
     """Options that choose a farm."""
 
-    seed: int = 0
-    """The farm's seed."""
+    farm: int = 0
+    """Farm seed, as in eia-sec evaluate; training uses 0 to 19."""
     density: Density | None = None
     """Distribution of the sensors. Default: the configuration's."""
     config: Path | None = None
@@ -83,10 +83,10 @@ def command(arguments: Sequence[str]) -> int:
     task = parse(FarmArguments, arguments, "farm").task
     console = Console(highlight=False, soft_wrap=True, markup=False)
     if isinstance(task, ShowArguments):
-        draw_farm(_farm(task, task.farm_file), task.seed, task.out)
+        draw_farm(_farm(task, task.farm_file), task.farm, task.out)
         console.print(f"written: {task.out}")
     elif isinstance(task, SaveArguments):
-        write_farm(task.out, _farm(task, None), task.seed, _corner(task))
+        write_farm(task.out, _farm(task, None), task.farm, _corner(task))
         console.print(f"written: {task.out}")
     else:
         _check(task.file, console)
@@ -95,7 +95,7 @@ def command(arguments: Sequence[str]) -> int:
 
 def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
     """Return the farm that the options choose; raise UsageError for a density that would have no effect."""
-    within(0, 2**63 - 1, seed=source.seed)
+    within(0, 2**63 - 1, farm=source.farm)
     config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
     if farm_file is not None:
         config = with_farm_file(config, farm_file)

@@ -10,7 +10,7 @@ from eia_sec.common.config import FarmConfig, RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.config.files import from_toml, to_toml
 from eia_sec.common.config.presets import PRESETS
-from eia_sec.common.errors import RunDirError, UsageError
+from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import farm_team, require_farm
 from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
@@ -26,7 +26,7 @@ from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
 from eia_sec.deploy.flight.record import FlightRecord
 from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY, OLDEST_POSE
-from eia_sec.deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
 from eia_sec.deploy.options import parse
 from eia_sec.rollout.farm_files.projection import TangentPlane
 from eia_sec.rollout.heuristics.registry import heuristic
@@ -190,8 +190,6 @@ def farm_of(run_dir: Path | None, config: Path | None, preset: str = "default") 
     """
     found = PRESETS[preset]
     if run_dir is not None:
-        if not (run_dir / CONFIG).is_file():
-            raise RunDirError(f"{run_dir} is not a run directory: it has no {CONFIG}.")
         found = RunDirectory(run_dir).configuration()
     if config is not None:
         found = from_toml(config, found)

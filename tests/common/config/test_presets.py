@@ -185,8 +185,8 @@ def test_preset_is_found_by_name():
     assert preset("quick") is PRESETS["quick"]
     with pytest.raises(
         ConfigError,
-        match=r"^there is no preset 'fast'; "
-        r"the presets are default, quick, generic, long, connected, failing, uneven, battery, field, inertial, "
+        match=r"^there is no preset 'fast'\. "
+        r"The presets are default, quick, generic, long, connected, failing, uneven, battery, field, inertial, "
         r"eia-sec, study, paper, eia, sec, base\.$",
     ):
         preset("fast")

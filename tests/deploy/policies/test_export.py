@@ -257,7 +257,7 @@ def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch, capsys, run):
     directory = run[0]
     monkeypatch.setitem(sys.modules, "onnx", None)
     cases = {
-        "is it a run directory": ["--run-dir", str(tmp_path / "none")],
+        "there is no directory": ["--run-dir", str(tmp_path / "none")],
         "needs the package onnx": ["--run-dir", str(directory)],
         "cannot be written": ["--run-dir", str(directory), "--format", "safetensors", "--out", "config.toml/x"],
     }
