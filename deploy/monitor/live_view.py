@@ -34,7 +34,7 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
         height: lines that it may take. More lines show more processes, imitation events and alarms. The view respects
             heights of 24 lines and above.
     """
-    learning = _learning(snapshot)
+    learning, ledger = _learning(snapshot), _ledger(snapshot.ledger)
     used = 2 + max(8, 2 + len(snapshot.reward) + len(snapshot.freshness)) + 5
     alarms = min(len(snapshot.alarms), max(1, min(MOST_ALARMS, (height - used - 7) // 4)))
     used += alarms + 2 if alarms else 0
@@ -42,8 +42,8 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
     used += len(events) + 3 if events else 0
     parts: list[RenderableType] = [
         _header(snapshot),
-        _beside(learning, _flow(snapshot), (1, 1)),
-        _beside(_ledger(snapshot.ledger), _imitation(snapshot.imitation), (3, 2)),
+        _beside(learning, _flow(snapshot), (5, 4)),
+        _beside(ledger, _imitation(snapshot.imitation), (3, 2)) if snapshot.imitation.happens else ledger,
         *([_panel("imitation events", EventTable(events))] if events else []),
         _panel(", ".join(_processes(snapshot)), ProcessTable(snapshot, max(2, height - used - 3))),
     ]
@@ -71,10 +71,10 @@ def summary(snapshot: Snapshot) -> str:
 
 
 def _budget(snapshot: Snapshot) -> str:
-    """Return how much of the run is done, in what ends it."""
+    """Return how much of the run is done, in what ends it; what was under way at its end counts beyond the total."""
     if snapshot.steps_total and not snapshot.episodes_total:
-        return f"{snapshot.steps:,} of {snapshot.steps_total:,} steps"
-    return f"{snapshot.episodes:,} of {snapshot.episodes_total:,} episodes"
+        return f"{min(snapshot.steps, snapshot.steps_total):,} of {snapshot.steps_total:,} steps"
+    return f"{min(snapshot.episodes, snapshot.episodes_total):,} of {snapshot.episodes_total:,} episodes"
 
 
 def _beside(left: RenderableType, right: RenderableType, shares: tuple[int, int]) -> Table:
@@ -108,10 +108,10 @@ def _learning(snapshot: Snapshot) -> Panel:
     grid.add_column(ratio=1, no_wrap=True)
     for index, series in enumerate(snapshot.reward):
         value = Text(number(series.latest, series.digits), style="bold" if index == 0 else "")
-        grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120))
+        grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120, series.digits))
     for series in snapshot.freshness:
         value = Text(number(series.latest, series.digits))
-        grid.add_row(Text(series.name), value, Sparkline(series.values, "blue", 120))
+        grid.add_row(Text(series.name), value, Sparkline(series.values, "blue", 120, series.digits))
     waiting = Text("No episode has ended yet.", style="dim")
     title = ", ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
     return _panel(title, grid if grid.row_count else waiting)
@@ -124,11 +124,9 @@ def _flow(snapshot: Snapshot) -> Panel:
     grid.add_column(justify="right", no_wrap=True)
     grid.add_row("steps", f"{snapshot.steps:,}", f"{number(snapshot.steps_rate)}/s")
     grid.add_row("updates", f"{snapshot.updates:,}", f"{number(snapshot.updates_rate)}/s")
-    ratio = snapshot.updates / snapshot.steps if snapshot.steps else None
-    grid.add_row("updates/step", number(ratio, 2), "")
     grid.add_row("staleness", number(snapshot.staleness, 1), "versions")
-    grid.add_row("learner waits", _percent(snapshot.learner_wait), "for data")
-    grid.add_row("workers wait", _percent(snapshot.worker_wait), "for learner")
+    grid.add_row("learner idle", _percent(snapshot.learner_wait), "")
+    grid.add_row("workers idle", _percent(snapshot.worker_wait), "")
     return _panel("flow", grid)
 
 
@@ -154,9 +152,9 @@ def _imitation(imitation: Imitation) -> Panel:
     grid = Table.grid(expand=True, padding=(0, 1))
     grid.add_column(no_wrap=True)
     grid.add_column(justify="right", ratio=1, no_wrap=True)
-    grid.add_row("events", f"{imitation.events}, rate {_rate(imitation.rate)}")
+    grid.add_row("events", f"{imitation.events}, share {_rate(imitation.rate)}")
     due = "-" if imitation.next_episode is None else f"episode {imitation.next_episode:,}"
-    grid.add_row("next at", "when agents part" if imitation.shared else due)
+    grid.add_row("next at", due)
     grid.add_row("best", Text(" ".join(f"{name} {index}" for name, index, _ in imitation.elites) or "-"))
     return _panel("elite imitation", grid)
 

@@ -11,7 +11,7 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, MetricMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.deploy.monitor.alarms import examine
-from eia_sec.deploy.monitor.environment_labels import plotted, type_label, value_of
+from eia_sec.deploy.monitor.environment_labels import NAME_LENGTH, plotted, value_of
 from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, elites_of, imitation_row, ledger_of
 from eia_sec.deploy.monitor.sanitised import plain
 from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
@@ -155,7 +155,7 @@ class RunMonitor:
             steps_total=int(values.get("steps_total", 0)),
             progress=progress,
             reward=tuple(
-                Series(type_label(values, kind), tuple(points), _digits(points))
+                Series(str(kind)[:NAME_LENGTH], tuple(points), _digits(points))
                 for kind, points in self._rewards.items()
             ),
             freshness=self._freshness(),

@@ -95,6 +95,11 @@ class Imitation:
     elites: tuple[tuple[str, int, float | None], ...] = ()
     newest: tuple[ImitationRow, ...] = ()
 
+    @property
+    def happens(self) -> bool:
+        """Whether agents have imitated or will: no elite is looked for while they share actors, or in other runs."""
+        return self.events > 0 or (self.next_episode is not None and not self.shared)
+
 
 @dataclass(frozen=True)
 class ProcessRow:

@@ -11,6 +11,8 @@ from rich.text import Text
 
 _BARS: Final = "▁▂▃▄▅▆▇█"
 _ASCII_BARS: Final = "_.-=+*#@"
+LEAST_BARS: Final = 6
+"""Bars without which a scale says little."""
 
 
 def buckets(values: Sequence[float], width: int) -> list[float]:
@@ -34,21 +36,33 @@ def bars(values: Sequence[float], width: int, *, ascii_only: bool = False) -> st
 
 @dataclass(frozen=True)
 class Sparkline:
-    """A rich renderable of a series.
+    """A rich renderable of a series, between the values of its lowest and its highest bar where there is room.
 
     Attributes:
         values: the series, oldest first.
         style: rich style of the bars.
         widest: most cells that it takes.
+        digits: decimals of the two values.
     """
 
     values: tuple[float, ...]
     style: str = ""
     widest: int = 40
+    digits: int = 0
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = min(options.max_width, self.widest)
-        yield Text(bars(self.values, width, ascii_only=options.ascii_only), style=self.style, no_wrap=True)
+        heights, low, high = buckets(self.values, width), "", ""
+        if len(heights) > 1:
+            # Fewer bars are means of more values, so the ends are those of the bars that are drawn.
+            room = width - max(len(f"{value:,.{self.digits}f}") for value in (min(heights), max(heights))) * 2 - 2
+            if room >= LEAST_BARS:
+                heights = buckets(self.values, room)
+                low, high = (f"{value:,.{self.digits}f}" for value in (min(heights), max(heights)))
+                width = room
+        drawn = bars(self.values, width, ascii_only=options.ascii_only)
+        parts = [(f"{low} ", "dim"), (drawn, self.style), (f" {high}", "dim")] if low else [(drawn, self.style)]
+        yield Text.assemble(*parts, no_wrap=True)
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         return Measurement(min(4, options.max_width), min(self.widest, options.max_width))

@@ -164,7 +164,7 @@ def _summed(rows: Sequence[ProcessRow]) -> ProcessRow:
 
 @dataclass(frozen=True)
 class EventTable:
-    """Imitation events: which agent of each type was the elite, with its score omega, and the rate vartheta.
+    """Imitation events: which agent of each type scored best (its score is omega), and the share copied, vartheta.
 
     Attributes:
         events: oldest first.
@@ -175,7 +175,7 @@ class EventTable:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         table = Table(box=None, expand=True, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
         types = [name for name, _, _ in self.events[-1].elites]
-        for name in ("event", "episode", "vartheta", *(f"elite {name} (omega)" for name in types)):
+        for name in ("event", "episode", "share", *(f"best {name} (score)" for name in types)):
             table.add_column(Text(name), justify="right", no_wrap=True)
         for event in self.events:
             elites = [f"{index} ({'-' if score is None else f'{score:.2f}'})" for _, index, score in event.elites]

@@ -11,7 +11,7 @@ from rich.console import Console
 from eia_sec.deploy.monitor.alarms import BEHIND_VERSIONS, examine
 from eia_sec.deploy.monitor.live_view import MOST_ALARMS, render, summary
 from eia_sec.deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Series, Snapshot, record
-from eia_sec.deploy.monitor.sparkline import bars, buckets
+from eia_sec.deploy.monitor.sparkline import Sparkline, bars, buckets
 from eia_sec.deploy.monitor.tables import ProcessTable, duration, short
 
 
@@ -92,8 +92,18 @@ def test_every_figure_is_shown_at_every_width(width):
     lines = drawn(SNAPSHOT, width)
     text = "\n".join(lines)
     texts = ["farm-7", "training", "25:12 elapsed, 35:33 left", "812 of 2,000 episodes", "420.5", "-12.5", "1,250.0"]
-    texts += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "0.50", "1.7", "2%", "41%"]
-    texts += ["406,480", "3 duplicate chunks", "120", "140", "220", "6, rate 0.00313", "episode 1,270", "c 2 m 0 d 3"]
+    texts += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "1.7", "2%", "41%"]
+    texts += [
+        "406,480",
+        "3 duplicate chunks",
+        "120",
+        "140",
+        "220",
+        "6, share 0.00313",
+        "learner idle",
+        "episode 1,270",
+        "c 2 m 0 d 3",
+    ]
     texts += ["worker-0", "barn", "1:05", "600", "480", "worker-2 has been silent for 7 s."]
     texts += ["52,000"] if width >= 100 else []
     texts += ["4199", "3,019", "406", "52,480"] if width >= 140 else []
@@ -116,12 +126,44 @@ def test_view_fits_the_terminal(width, height, workers):
 def test_imitation_events_say_who_was_the_elite_when_there_is_room():
     """In a high terminal each event has its episode, vartheta, and for each type the elite and its omega."""
     lines = drawn(SNAPSHOT, 120, 40)
-    assert line_with("elite c (omega)", lines).split()[1:4] == ["event", "episode", "vartheta"]
+    assert line_with("best c (score)", lines).split()[1:4] == ["event", "episode", "share"]
     assert line_with(" 640 ", lines).split()[1:-1] == ["6", "640", "0.00156", "2", "(0.81)", "0", "(-)", "3", "(-1.50)"]
     calm = dataclasses.replace(SNAPSHOT, alarms=())
-    shown_at = {height: any("omega" in line for line in drawn(calm, 80, height)) for height in (24, 32, 33, 50)}
+    shown_at = {height: any("(score)" in line for line in drawn(calm, 80, height)) for height in (24, 32, 33, 50)}
     assert shown_at == {24: False, 32: False, 33: True, 50: True}
     assert "From 33 lines" in (Path(__file__).resolve().parents[3] / "docs" / "reference" / "monitoring.md").read_text()
+
+
+def test_a_run_in_which_nobody_imitates_has_no_panel_about_it():
+    """Neither without a coordinator nor while agents share their actors; the ledger takes the room."""
+    for imitation in (Imitation(), Imitation(shared=True, next_episode=10)):
+        lines = drawn(dataclasses.replace(SNAPSHOT, imitation=imitation), 80)
+        assert not any("elite" in line for line in lines)
+        assert len(line_with("ledger, steps", lines)) == 80
+    for imitation in (Imitation(next_episode=10), Imitation(events=1, shared=True)):
+        assert line_with("elite imitation", drawn(dataclasses.replace(SNAPSHOT, imitation=imitation), 80))
+
+
+def test_the_end_is_never_exceeded():
+    """Episodes and steps that were under way when the run ended are not shown beyond its total."""
+    over = dataclasses.replace(SNAPSHOT, episodes=2016)
+    assert line_with("2,000 of 2,000 episodes", drawn(over, 80))
+    assert summary(dataclasses.replace(over, episodes_total=0, steps_total=406_000 - 1)).startswith(
+        "training: 405,999 of 405,999 steps"
+    )
+
+
+def test_a_curve_stands_between_its_lowest_and_its_highest_value():
+    """Where there is room; the values are those of the bars. In a narrow place the bars are alone."""
+    texts = {}
+    for width in (30, 12):
+        output = io.StringIO()
+        Console(width=width, file=output).print(Sparkline(tuple(map(float, range(1000, 1300))), digits=0))
+        texts[width] = output.getvalue().strip()
+    low, drawn_bars, high = texts[30].split()
+    assert (low, drawn_bars[0], drawn_bars[-1], high) == ("1,008", "▁", "█", "1,291")
+    assert len(texts[30]) == 30
+    assert texts[12] == bars(tuple(map(float, range(300))), 12)
 
 
 def test_what_environments_did_is_counted_on_a_terminal_and_without_one():
