@@ -1,13 +1,40 @@
-"""Where Numba keeps machine code: beside the package or in the user's cache, or else in a temporary folder."""
+"""Where Numba keeps machine code: beside the package or in the user's cache, or else in a temporary folder.
+
+Whoever has to wait because there is none yet reads so in the log.
+"""
 
 import os
 import stat
 import tempfile
 from pathlib import Path
+from typing import Any, Final
 
 import numba
+from numba.core import event
+from numba.core.caching import NullCache
 
 from eia_sec.common.log import log
+
+COMPILING: Final = "compiling the simulator, once after an installation or a change of it: up to some minutes."
+
+
+class _Announcement(event.Listener):
+    """Logs, once in a process, that code is compiled which is kept on disk; the rest takes no time."""
+
+    said = False
+
+    def on_start(self, event: Any) -> None:
+        """Numba compiles a function."""
+        if not self.said and not isinstance(event.data["dispatcher"]._cache, NullCache):
+            self.said = True
+            log(COMPILING)
+
+    def on_end(self, event: Any) -> None:
+        """Numba has compiled a function."""
+
+
+_ANNOUNCEMENT: Final = _Announcement()
+event.register("numba:compile", _ANNOUNCEMENT)  # type: ignore[no-untyped-call]  # numba has few types
 
 
 def require_cache() -> None:

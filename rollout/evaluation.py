@@ -212,8 +212,10 @@ def evaluate_run(
         return evaluate_environments(make, policy, farms, episodes, name=name, batch=batch, tell=tell)
 
 
-def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:
-    """Record one episode step by step; it is the episode that `evaluate` runs.
+def record(
+    config: FarmConfig, policy: Policy, farm: int, episode: int, tell: Callable[[float], None] = lambda share: None
+) -> Trajectory:
+    """Record one episode step by step; it is the episode that `evaluate` runs. `tell` hears the share that is done.
 
     Raises:
         PolicyError: the policy does not fit the farm.
@@ -221,9 +223,10 @@ def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Traje
     flown = _begin(make_farms(config, 1), policy, [(farm, episode)])
     layout = flown.layout(0)
     course = [_snapshot(flown)]
-    for _ in range(config.world.steps):
+    for step in range(config.world.steps):
         flown.step(policy.act(flown))
         course.append(_snapshot(flown))
+        tell((step + 1) / config.world.steps)
     positions, aoi, vdf, served = zip(*course, strict=True)
     return Trajectory(
         config=config,

@@ -24,6 +24,7 @@ from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK
+from eia_sec.deploy.progress import Countdown
 
 MOST_BYTES: Final = 16_384
 """Longest file that is read."""
@@ -156,14 +157,15 @@ def chosen(
 def _in_directory(run_dir: Path, patience: float, waiting: Callable[[], bool]) -> LocalRun:
     """Return the run of a directory, once its learner lives; raise UsageError if none comes."""
     until = time.monotonic() + patience
-    while True:
-        runs = local_runs()
-        for one in runs:
-            if one.run_dir and os.path.realpath(run_dir) == os.path.realpath(one.run_dir):
-                return one
-        if not (_supervised(run_dir) and waiting() and time.monotonic() < until):
-            raise UsageError(f"no run is training in {printable(str(run_dir))}{_here(runs)}")
-        time.sleep(LOOK_SECONDS)
+    with Countdown(f"the learner of {printable(str(run_dir))}", patience, waiting) as waits:
+        while True:
+            runs = local_runs()
+            for one in runs:
+                if one.run_dir and os.path.realpath(run_dir) == os.path.realpath(one.run_dir):
+                    return one
+            if not (_supervised(run_dir) and waits() and time.monotonic() < until):
+                raise UsageError(f"no run is training in {printable(str(run_dir))}{_here(runs)}")
+            time.sleep(LOOK_SECONDS)
 
 
 def _supervised(run_dir: Path) -> bool:
@@ -192,7 +194,8 @@ def reached(run: LocalRun, tls: Path | None, patience: float, waiting: Callable[
     """
     endpoint = Endpoint.parse(run.endpoint, tls)
     try:
-        return Bus.connect(endpoint, "control", patience, waiting)
+        with Countdown(f"a listener at {endpoint}", patience, waiting) as waits:
+            return Bus.connect(endpoint, "control", patience, waits)
     except EndpointError as error:
         if type(error) is not EndpointError:
             raise

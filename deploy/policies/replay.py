@@ -7,6 +7,7 @@ from pathlib import Path
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.errors import UsageError
+from eia_sec.deploy.progress import part
 from eia_sec.deploy.reports.film import Film
 from eia_sec.deploy.reports.plots import save_comparison
 from eia_sec.rollout.evaluation import episode_seed, record
@@ -42,7 +43,7 @@ def scenes_of(comparison: Comparison) -> Iterator[tuple[Scene, Scene]]:
 
 
 def film(
-    comparison: Comparison, path: Path, rate: float, every: int, done: Callable[[int], None] = lambda _: None
+    comparison: Comparison, path: Path, rate: float, every: int, tell: Callable[[float], None] = lambda share: None
 ) -> None:
     """Write a film with a frame every few steps, and one of the last step.
 
@@ -51,7 +52,7 @@ def film(
         path: the file, .mp4 or .gif.
         rate: frames per second.
         every: environment steps per frame.
-        done: called with the number of each step.
+        tell: called after each step with the share of the film that is done, 0 to 1.
 
     Raises:
         PolicyError: a policy does not exist or does not fit the farm.
@@ -66,19 +67,32 @@ def film(
             picture.note(scenes)
             if scenes[0].step % every == 0 or scenes[0].step == last:
                 reel.add(picture.draw(scenes))
-            done(scenes[0].step)
+            tell(scenes[0].step / last)
 
 
-def paper_pictures(comparison: Comparison, paths: list[Path]) -> None:
+def paper_pictures(
+    comparison: Comparison, paths: list[Path], tell: Callable[[float], None] = lambda share: None
+) -> None:
     """Save the final state with all paths, both policies side by side, PNG or PDF by the files' endings.
+
+    Args:
+        comparison: the policies and the episode.
+        paths: the files.
+        tell: called with the share of both flights that is done, 0 to 1.
 
     Raises:
         PolicyError: a policy does not exist or does not fit the farm.
         UsageError: a file cannot be written.
     """
     flown = [
-        record(comparison.config, policy_of(policy, comparison.config), comparison.farm, comparison.episode)
-        for policy in comparison.policies
+        record(
+            comparison.config,
+            policy_of(policy, comparison.config),
+            comparison.farm,
+            comparison.episode,
+            part(tell, done, len(comparison.policies)),
+        )
+        for done, policy in enumerate(comparison.policies)
     ]
     try:
         for path in paths:

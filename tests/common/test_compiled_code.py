@@ -4,8 +4,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from numba.core.caching import NullCache
+
+from eia_sec.common.compiled_code import COMPILING, _Announcement
 
 SCRIPT = """
 import numba.core.caching as caching
@@ -55,3 +59,13 @@ def test_somebody_elses_folder_is_not_used(trap: str, tmp_path: Path) -> None:
     else:
         place.symlink_to(tmp_path)
     assert kept_in(tmp_path)[0] not in (place, tmp_path)
+
+
+def test_code_that_is_kept_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever waits for it reads so; functions whose code is not kept are compiled at each start, and take no time."""
+    announcement = _Announcement()
+    for cache in (NullCache(), object(), object()):
+        announcement.on_start(SimpleNamespace(data={"dispatcher": SimpleNamespace(_cache=cache)}))
+        if isinstance(cache, NullCache):
+            assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err.count(COMPILING) == 1

@@ -1,7 +1,5 @@
-"""How far work has come: lines without a terminal, and nothing on standard output."""
+"""How far work has come and what is waited for: lines without a terminal, and nothing on standard output."""
 
-import errno
-import io
 import itertools
 import sys
 import time
@@ -10,18 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from eia_sec.deploy.progress import part, progress
-
-
-class Full(io.StringIO):
-    """A stream on a full disk."""
-
-    tried = 0
-
-    def write(self, text: str) -> int:
-        """Refuse."""
-        self.tried += 1
-        raise OSError(errno.ENOSPC, "no space left")
+from eia_sec.deploy.progress import Countdown, part, progress
 
 
 def seconds(step: float) -> Iterator[float]:
@@ -50,14 +37,19 @@ def test_quick_work_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_work_goes_on_where_standard_error_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line that cannot be written is left out, and was tried."""
-    clock = seconds(60.0)
+    """A line that cannot be written is left out."""
+    clock, tried = seconds(60.0), []
+
+    def full(text: str) -> None:
+        tried.append(text)
+        raise OSError("no space left")
+
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
-    full = Full()
-    monkeypatch.setattr(sys, "stderr", full)
-    with progress("evaluating") as tell:
+    with progress("evaluating") as tell, monkeypatch.context() as changed:
+        changed.setattr(sys, "stderr", SimpleNamespace(write=full))
+        tell(0.25)
         tell(0.5)
-    assert full.tried == 1
+    assert tried == ["evaluating: 25%\n", "evaluating: 50%\n"]
 
 
 def test_parts_add_up() -> None:
@@ -67,3 +59,20 @@ def test_parts_add_up() -> None:
     share(0.0)
     share(1.0)
     assert told == [0.25, 0.5]
+
+
+def test_a_wait_says_how_long_it_may_take(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """After a second, and again every ten; a wait that is over at once says nothing."""
+    clock = seconds(1.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    answers = itertools.chain([True] * 14, [False])
+    with Countdown("a listener", 30.0, lambda: next(answers)) as waits:
+        while waits():
+            pass
+    assert capsys.readouterr().err.splitlines() == [
+        "waiting for a listener: 29 s left",
+        "waiting for a listener: 19 s left",
+    ]
+    with Countdown("a listener", 0.0, lambda: False) as waits:
+        assert not waits()
+    assert capsys.readouterr().err == ""

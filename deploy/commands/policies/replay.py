@@ -7,7 +7,6 @@ from typing import Final, Literal
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress
 
 from eia_sec.common.config.checks import within
 from eia_sec.common.errors import UsageError
@@ -17,6 +16,7 @@ from eia_sec.deploy.exit_codes import DONE
 from eia_sec.deploy.local.run_directory import own_folder
 from eia_sec.deploy.options import parse
 from eia_sec.deploy.policies.replay import Comparison, film, paper_pictures
+from eia_sec.deploy.progress import progress
 from eia_sec.deploy.reports.film import find_ffmpeg
 from eia_sec.rollout.shipped_policies import SHIPPED
 
@@ -24,6 +24,10 @@ ONLY_FARM: Final = "this run is about {}; only the farm can be replayed."
 
 FOLDER: Final = "replay"
 """Output folder in the run directory or the current directory."""
+
+
+COST: Final = "about a minute of processor time"
+"""What a film of a whole episode of the default farm takes, a frame for each step."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +75,16 @@ def command(arguments: Sequence[str]) -> int:
     if options.film != "none":
         find_ffmpeg()
     pictures = [base.with_suffix(suffix) for suffix in (".png", ".pdf")]
-    paper_pictures(comparison, pictures)
+    with progress("flying both policies") as tell:
+        paper_pictures(comparison, pictures, tell)
     for path in pictures:
         console.print(f"written: {path}")
     if options.film != "none":
         slower = every if options.film == "gif" and options.every is None else 1
         path = base.with_suffix(f".{options.film}")
-        _film(comparison, path, options.rate / slower, every, console)
+        console.print(f"filming farm {comparison.farm}: {COST}; --film none leaves it out")
+        with progress("filming") as tell:
+            film(comparison, path, options.rate / slower, every, tell)
         console.print(f"written: {path}")
     return DONE
 
@@ -112,9 +119,3 @@ def _called(name: str) -> str:
     if name in SHIPPED:
         return "shipped policy" if name == "trained" else f"shipped policy, {SHIPPED[name][0]}"
     return Path(name).stem if Path(name).suffix else name
-
-
-def _film(comparison: Comparison, path: Path, rate: float, every: int, console: Console) -> None:
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task(f"filming farm {comparison.farm}", total=comparison.config.world.steps)
-        film(comparison, path, rate, every, lambda step: progress.update(task, completed=step))

@@ -167,7 +167,7 @@ def test_a_run_is_replayed_with_its_own_policy(tmp_path, ffmpeg, capsys):
     ("words", "said"),
     [
         ([], "a run directory or --policy"),
-        (["nowhere"], "run directory"),
+        (["nowhere"], "there is no directory nowhere"),
         (["--policy", "best"], "no policy 'best'"),
         (["--policy", "static", "--against", "best", "--film", "none"], "no policy 'best'"),
         (["--policy", "static", "--farm", "-1"], "farm must be"),
