@@ -100,6 +100,24 @@ def test_where_no_picture_comes_the_episode_goes_on_and_it_is_said(how, name, sa
         assert alone.silence == ""
 
 
+def test_being_drawn_changes_nothing():
+    """Episode after episode, rewards and observations are those of environments that nobody watches."""
+    found = []
+    for watched in (False, True):
+        with closing(PettingZooBatch(EnvConfig("toy_pictures:Drawn", "{}"), 2)) as batch:
+            seen = []
+            for episode in range(3):
+                if watched and episode:
+                    batch.ask_for_pictures(0)
+                for index in range(2):
+                    batch.reset(index, 3, episode)
+                while not batch.ended.all():
+                    seen.append(np.concatenate([part.ravel() for part in stepped(batch)]))
+                    assert (batch.picture(0) is not None) == (watched and episode > 0)
+            found.append(np.stack(seen))
+    np.testing.assert_array_equal(*found)
+
+
 def test_the_users_own_render_mode_counts():
     """Where the run's arguments name a mode, it is theirs."""
     with closing(a_batch(render_mode="null")) as batch:

@@ -11,6 +11,7 @@ const view = { scene: null, shown: null, field: null, head: 0, playing: true, dr
 const TEXT_MS = 100; // numbers change this often at most, so that they can be read
 const NOTICE_MS = 8000;
 const STILL_MS = 2000; // time without a frame after which the page says since when
+const LIVE = 5; // steps behind that nobody notices
 const MOST_BEHIND = 1500; // steps, of the 2,048 that are kept
 let theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 
@@ -95,7 +96,7 @@ function writeNumbers(at) {
   const soft = by("headline").appendChild(document.createElement("span"));
   soft.textContent = noise;
   const behind = past.last - at;
-  by("clock").textContent = behind > 0 ? `${behind.toLocaleString("en")} steps behind` : "newest step";
+  by("clock").textContent = behind > LIVE ? `${behind.toLocaleString("en")} steps behind` : "newest step";
   const { lost = 0, malformed = 0, skipped = 0 } = view.losses;
   by("losses").textContent = `At most ${view.scene.pace} steps/s. Done and not shown: `
     + `${skipped.toLocaleString("en")} steps. Messages lost: ${lost}, malformed: ${malformed}. `

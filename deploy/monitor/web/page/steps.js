@@ -12,6 +12,7 @@ export class Steps {
   constructor(scene) {
     this.scene = scene;
     this.picture = null; // what is shown: {key, image}
+    this.longest = 1; // step that an episode has reached, so that the chart's axis is steady
     this.asked = ""; // key of the picture that is being unpacked
     const types = scene.types.flatMap((type) => Array.from({ length: type.count }, () => type));
     const action = scene.types.flatMap((type) => Array.from({ length: type.count }, () => type.actions));
@@ -118,8 +119,8 @@ export class Steps {
     const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
     const [ink, line] = [colour("--ink"), colour("--line")];
     const top = high - low < 1e-9 ? low + 1 : high;
-    const steps = Math.max(1, past.at(last).step);
-    const box = frameOf(by("rewards"), steps, low, top, ink, line, "reward of a step");
+    this.longest = Math.max(this.longest, past.at(last).step);
+    const box = frameOf(by("rewards"), this.longest, low, top, ink, line, "reward of a step");
     const { pen } = box;
     lines.forEach((points, t) => {
       pen.strokeStyle = this.scene.types[t].colour;
