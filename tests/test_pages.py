@@ -1,4 +1,4 @@
-"""The Python code on the pages: it runs, or stands in an example that other tests run."""
+"""The Python code on the pages and in the notebook: it runs, or stands in an example that other tests run."""
 
 import re
 from pathlib import Path
@@ -38,3 +38,20 @@ def test_pieces_on_a_page_are_those_of_the_examples(page):
     assert pieces
     for piece in pieces:
         assert piece in held
+
+
+@pytest.mark.slow
+def test_the_notebook_runs():
+    """Every cell, with fewer episodes; it is kept without output."""
+    nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
+    nbformat = pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel", reason="ipykernel is not installed")
+    notebook = nbformat.read(DOCS / "tutorials" / "python.ipynb", as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(not cell.outputs for cell in cells)
+    for cell in cells:
+        cell.source = cell.source.replace("episodes=160", "episodes=32")
+    nbclient.NotebookClient(notebook, timeout=500).execute()
+    kinds = {output.output_type for cell in cells for output in cell.outputs}
+    assert "error" not in kinds
+    assert any("image/png" in output.get("data", {}) for cell in cells for output in cell.outputs)

@@ -1,4 +1,4 @@
-"""The tables of docs/reference/configuration.md, from the dataclasses in `eia_sec.common.config` and the presets."""
+"""The entries of docs/reference/configuration.md, from the dataclasses in `eia_sec.common.config` and the presets."""
 
 import ast
 import dataclasses
@@ -59,19 +59,22 @@ def sections(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def configuration_tables() -> str:
-    """Return one table for each section of the configuration, with one row for each key."""
+    """Return one part for each section of the configuration, with one entry for each key.
+
+    An entry has a heading of its own, by which the site's search finds it.
+    """
     parts = []
     for name, section in sections(RunConfig()):
         if name == "algorithm":
             parts += _algorithm_tables()
             continue
         presets = {shown: config for shown, config in SHOWN.items() if _reads(config, name)}
-        rows = [_row(name, section, field.name, presets) for field in dataclasses.fields(section)]
-        rows = [row for row in rows if row]
-        if rows:
+        entries = [_entry(name, section, field.name, presets) for field in dataclasses.fields(section)]
+        entries = [entry for entry in entries if entry]
+        if entries:
             title = f"`[{name}]`" if name else "Top of the file"
             about = _about(type(section)) + _readers(name)
-            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(), *rows]) + "\n")
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join(entries))
     return "\n".join(parts)
 
 
@@ -99,7 +102,7 @@ def _listed(names: list[str]) -> str:
 
 
 def _algorithm_tables() -> Iterator[str]:
-    """Yield a table of the options that all algorithms share, and one for each class that adds some."""
+    """Yield the options that all algorithms share, and those that each class adds."""
     yield f"## `[algorithm]`\n\n{_ALGORITHM}"
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
@@ -110,11 +113,11 @@ def _algorithm_tables() -> Iterator[str]:
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]
         presets = {name: config for name, config in SHOWN.items() if isinstance(config.algorithm, owner)}
-        own = [_plain_row(owner, field) for field in fields]
+        own = [_plain_entry(owner, field) for field in fields]
         section = next((config.algorithm for config in presets.values()), None)
-        rows = own if section is None else [_row("algorithm", section, field, presets) for field in fields]
-        if rows:
-            yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*_table_head(), *rows]) + "\n"
+        entries = own if section is None else [_entry("algorithm", section, field, presets) for field in fields]
+        if entries:
+            yield f"## `[algorithm]` of {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join(entries)
 
 
 def _declaring_classes() -> list[type[Any]]:
@@ -123,19 +126,15 @@ def _declaring_classes() -> list[type[Any]]:
     return list(dict.fromkeys(owner for line in lines for owner in line if dataclasses.is_dataclass(owner)))
 
 
-def _plain_row(owner: type[Any], field: str) -> str:
-    """Return the row of an option that no preset's algorithm has."""
+def _plain_entry(owner: type[Any], field: str) -> str:
+    """Return the entry of an option that no preset's algorithm has."""
     default = next(entry.default for entry in dataclasses.fields(owner) if entry.name == field)
     kind = _type(get_type_hints(owner)[field])
-    return _cells([f"`{field}`", kind, _value(default), field_docs(owner)[field], ""])
+    return _written(f"algorithm.{field}", kind, _value(default), field_docs(owner)[field], "")
 
 
-def _table_head() -> list[str]:
-    return [_cells(["key", "type", "default", "meaning", "presets that differ"]), _cells(["---"] * 5)]
-
-
-def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunConfig]) -> str:
-    """Return one key's table row: its value in the first preset, its meaning, and the presets with another value.
+def _entry(section_name: str, section: Any, field: str, presets: Mapping[str, RunConfig]) -> str:
+    """Return one key's entry: its type, its value in the first preset, its meaning, and presets with another value.
 
     It is empty when the field is a section of its own.
     """
@@ -152,7 +151,13 @@ def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunC
     kind = _type(get_type_hints(type(section))[field])
     if key == "algorithm.name":
         kind = " or ".join(f"`{name}`" for name in ALGORITHM_CONFIGS)
-    return _cells([f"`{field}`", kind, _value(first), field_docs(type(section))[field], differing])
+    return _written(key, kind, _value(first), field_docs(type(section))[field], differing)
+
+
+def _written(key: str, kind: str, default: str, meaning: str, differing: str) -> str:
+    value = f"`{default}`" if default else "empty"
+    presets = f"\n\nPresets that differ: {differing}." if differing else ""
+    return f"#### `{key}`\n\n{kind[0].upper()}{kind[1:]}, by default {value}. {meaning}{presets}\n"
 
 
 def _value(value: Any) -> str:
@@ -174,7 +179,3 @@ def _type(wanted: Any) -> str:
     if wanted is PluginNames:
         return "list of names"
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
-
-
-def _cells(cells: list[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -15,6 +15,7 @@ TRAINING: Final = "research/results/reproduce/training/results.json"
 PRESET: Final = "research/results/reproduce/default/results.json"
 HEURISTICS: Final = "research/results/heuristics/results.json"
 SEEDS: Final = "research/results/default/seeds.json"
+UNTRAINED: Final = "research/results/default/untrained.json"
 LONG: Final = "research/results/long/seeds.json"
 DISTRIBUTION: Final = "research/results/distribution/results.json"
 NOT_MEASURED: Final = "Not measured yet.\n"
@@ -293,7 +294,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "hosts": (("research/results/hosts/results.json",), hosts_block),
     "inertia": (("research/results/inertia/results.json",), inertia_block),
     "paper-preset": (("research/results/paper/evaluation.json",), paper_block),
-    "results": ((TRAINING, PRESET, SEEDS, LONG), results_block),
+    "results": ((TRAINING, PRESET, SEEDS, LONG, UNTRAINED), results_block),
     "tasks": (
         ("research/results/tasks/simple_spread/results.json", "research/results/tasks/half_cheetah/results.json"),
         tasks_block,

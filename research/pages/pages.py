@@ -39,8 +39,14 @@ def _measured(*names: str) -> dict[str, Block]:
     return {name: partial(measured, name) for name in names}
 
 
+def _on_home_page(block: Block) -> Block:
+    """Return a block of README.md for docs/index.md, from where its links lead elsewhere."""
+    return lambda root: block(root).replace("](docs/", "](")
+
+
 PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "README.md": _measured("results", "distribution"),
+    "docs/index.md": {"results": _on_home_page(partial(measured, "results"))},
     "docs/explanation/capacity.md": _measured("capacity"),
     "docs/explanation/method.md": _measured("forms"),
     "docs/explanation/reliability.md": {

@@ -4,8 +4,8 @@
 
 `watch.png` is the page of `eia-sec watch` while a worker flies that policy, `watch-mpe.png` the same page while
 untrained agents act in an environment that is no farm, `replay.png` one picture of a film against the strongest
-heuristic. `pictures.json` says which parameters they show, by the start of their digest, and a test
-compares it with the policy's.
+heuristic, `replay.gif` that film in small. `pictures.json` says which parameters they show, by the start of their
+digest, and a test compares it with the policy's.
 """
 
 import json
@@ -45,6 +45,10 @@ SHOWN = "trained:eia-sec"
 """The policy that the pictures show."""
 FARM, STEP = 1003, 300
 """Farm and step of the film's picture; the page shows the worker's own farm at that step."""
+FILM_STEPS, FILM_EVERY = 240, 10
+"""Steps that the small film shows, and steps from one frame to the next."""
+FILM_WIDTH, FILM_COLOURS, FILM_MILLISECONDS = 640, 64, 200
+"""Its pixels, its colours, and how long a frame stands."""
 PATIENCE = 120.0
 OTHER, OTHER_STEP = "mpe2:simple_spread_v3", 20
 """An environment that is no farm, and the step of it that the page shows."""
@@ -55,19 +59,25 @@ return -1 }"""
 """Number of the frame of that step of an episode that was seen from its start, or -1."""
 
 
-def replay_picture(path: Path) -> None:
-    """Save one picture of the film of the policy that ships against the heuristic horizon."""
-    from matplotlib import image  # noqa: PLC0415  (loaded only where a picture is made)
+def replay_pictures(picture_path: Path, film_path: Path) -> None:
+    """Save one picture, and a small film, of the policy that ships against the heuristic horizon."""
+    from PIL import Image  # noqa: PLC0415  (loaded only where a picture is made)
 
     names = ("EIA-SEC (shipped policy)", "horizon")
     comparison = Comparison(preset("eia-sec").farm, (SHOWN, "horizon"), names, FARM, 0)
-    picture = None
+    picture, frames = None, []
     for scenes in scenes_of(comparison):
         picture = picture or SideBySidePicture(comparison.names, scenes)
         picture.note(scenes)
-        if scenes[0].step == STEP:
-            image.imsave(path, picture.draw(scenes))
-            return
+        step = scenes[0].step
+        if step == STEP or step % FILM_EVERY == 0:
+            drawn = Image.fromarray(picture.draw(scenes)).convert("RGB")
+            if step == STEP:
+                drawn.save(picture_path)
+            if step <= FILM_STEPS:
+                small = drawn.resize((FILM_WIDTH, round(drawn.height * FILM_WIDTH / drawn.width)))
+                frames.append(small.quantize(FILM_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
+    frames[0].save(film_path, save_all=True, append_images=frames[1:], duration=FILM_MILLISECONDS, loop=0)
 
 
 @contextmanager
@@ -166,7 +176,7 @@ def main(arguments: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     # Before the pictures, which would make a commit that holds them look changed.
     notes = {**provenance("research.pages.pictures"), "policy": load_policy(shipped_file(SHOWN))[0].digest()[:16]}
-    replay_picture(folder / "replay.png")
+    replay_pictures(folder / "replay.png", folder / "replay.gif")
     farm_page(folder / "watch.png")
     environment_page(folder / "watch-mpe.png")
     (folder / "pictures.json").write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")

@@ -30,7 +30,13 @@ def policies_table(run: dict[str, Any], label: str) -> list[str]:
     return rows
 
 
-def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[str, Any], long: dict[str, Any]) -> str:
+def results_block(
+    study: dict[str, Any],
+    seeds: dict[str, Any],
+    default: dict[str, Any],
+    long: dict[str, Any],
+    untrained: dict[str, Any],
+) -> str:
     """Return the block of README.md: learned methods and heuristics in one table, and one line on how they compare.
 
     Args:
@@ -38,6 +44,7 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
         seeds: the results of the study `default`.
         default: several seeds of the default preset, see `research.experiments.seeds`.
         long: the same of the preset `long`.
+        untrained: what a team of the default preset earns before it learns, see `research.experiments.untrained`.
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
     ours = {f"**{LONG}**": _several(long), f"**{DEFAULT}**": _several(default)}
@@ -66,7 +73,8 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
     beaten = "; ".join(f"{_beats(names)} {what}" for what, names in zip(OURS, ahead, strict=True))
     reading = f"""**{beaten[0].upper()}{beaten[1:]}.** {tied}Heuristics see the whole farm and plan with its dynamics; a
         trained UAV acts on what it observes. That includes sweep routes and, with `long`,
-        [plans](docs/reference/environment.md#added-observations), which its collectors favour from the start."""
+        [plans](docs/reference/environment.md#added-observations), which its collectors favour from the start. So an
+        untrained team of the default preset earns {untrained["reward"]:.0f} already; learning adds the rest."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
 
 

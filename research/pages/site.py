@@ -1,7 +1,13 @@
-"""A hook of MkDocs: the pages and pictures of research/results are part of the site, below results/."""
+"""A hook of MkDocs: what the site takes from outside docs/.
 
+The pages and pictures of research/results are below results/, README and the pages beside it below project/; notebooks
+of docs/ become pages.
+"""
+
+import json
 import posixpath
 import re
+import tomllib
 from pathlib import Path
 from typing import Final
 
@@ -9,33 +15,76 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-ROOTS: Final = {"results": "research/results", "": "docs"}
-"""Where the parts of the site lie in the repository."""
 SHOWN: Final = {".md", ".png", ".svg", ".json"}
+PROJECT: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "LICENSE")
 LINK: Final = re.compile(r"(\]\()([^)#\s:]+)(?=[)#])")
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the version at the foot of every page."""
+    project = tomllib.loads((_root(config) / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    config.copyright = f"{config.site_name} {project['version']}, {project['license']}"
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add every page, picture and table of results."""
-    folder = Path(config.docs_dir).parent / "research"
-    for path in sorted((folder / "results").rglob("*")):
+    """Add every page, picture and table of results, and the project's own pages."""
+    root = _root(config)
+    for path in sorted((root / "research" / "results").rglob("*")):
         if path.suffix in SHOWN:
-            name = path.relative_to(folder).as_posix()
-            files.append(File(name, str(folder), config.site_dir, config.use_directory_urls))
+            files.append(_file(path.relative_to(root / "research").as_posix(), path, config))
+    for name in PROJECT:
+        files.append(_file(f"project/{name}", root / name, config))
+    for path in sorted(Path(config.docs_dir).rglob("*.ipynb")):
+        place = path.relative_to(config.docs_dir).with_suffix(".md").as_posix()
+        files.append(File.generated(config, place, content=_notebook_page(path)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links between docs/ and research/results, which lead somewhere in the repository, to places of the site."""
+    """Point links, which lead somewhere in the repository, to places of the site."""
     here = page.file.src_uri
-    source = posixpath.dirname(f"research/{here}" if here.startswith("results/") else f"docs/{here}")
+    source = posixpath.dirname(_in_repository(here))
 
     def moved(link: re.Match[str]) -> str:
-        target = posixpath.normpath(posixpath.join(source, link[2]))
-        for place, root in ROOTS.items():
-            if target.startswith(f"{root}/"):
-                found = posixpath.join(place, target.removeprefix(f"{root}/"))
-                return link[1] + posixpath.relpath(found, posixpath.dirname(here))
-        return link[0]
+        place = _on_site(posixpath.normpath(posixpath.join(source, link[2])))
+        if place is None:
+            return link[0]
+        if not place.startswith(posixpath.splitext(here)[0]):  # the page of a notebook leads to the notebook itself
+            place = re.sub(r"\.ipynb$", ".md", place)
+        return link[1] + posixpath.relpath(place, posixpath.dirname(here))
 
     return LINK.sub(moved, markdown)
+
+
+def _root(config: MkDocsConfig) -> Path:
+    return Path(config.docs_dir).parent
+
+
+def _file(place: str, path: Path, config: MkDocsConfig) -> File:
+    return File.generated(config, place, abs_src_path=str(path))
+
+
+def _notebook_page(path: Path) -> str:
+    """Return the page of a notebook: its texts and its code."""
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(path.read_text("utf-8"))["cells"]]
+    parts = [text if kind == "markdown" else f"```python\n{text}\n```" for kind, text in cells]
+    parts.insert(1, f"[The notebook]({path.name}) has all of this page's code.")
+    return "\n\n".join(parts) + "\n"
+
+
+def _in_repository(place: str) -> str:
+    """Return where a file of the site lies in the repository."""
+    if place.startswith("results/"):
+        return f"research/{place}"
+    return place.removeprefix("project/") if place.startswith("project/") else f"docs/{place}"
+
+
+def _on_site(path: str) -> str | None:
+    """Return where a file of the repository lies on the site, or None."""
+    if path in PROJECT:
+        return f"project/{path}"
+    for folder in ("docs/", "research/"):
+        if path.startswith(folder):
+            return path.removeprefix(folder)
+    return None

@@ -1,9 +1,16 @@
-"""The documentation builds as a site, and every relative link leads somewhere."""
+"""The documentation builds as a site, and every relative link leads somewhere, in the repository and on the site."""
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted(
@@ -65,10 +72,90 @@ def test_a_broken_link_is_found(tmp_path):
     assert broken_links(page) == ["no.md", "other.md#no"]
 
 
-def test_the_site_builds_without_a_warning(tmp_path):
-    """A strict build fails on broken links, pages missing from disk, and modules that the API reference cannot find."""
-    line = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+class Anchors(HTMLParser):
+    """The targets and the links of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.targets, self.links = set(), []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.targets |= {found[name] for name in ("id", "name") if found.get(name)}
+        self.links += [found[name] for name in ("href", "src") if found.get(name)]
+
+
+def broken_on_site(site):
+    """Return the links of a built site, by page, that lead to no file of it, or to nothing on its page."""
+    pages = {
+        path: Anchors(path.read_text(encoding="utf-8")) for path in site.rglob("*.html") if path.name != "404.html"
+    }
+    broken = {}
+    for path, page in pages.items():
+        for link in page.links:
+            name, _, anchor = link.partition("#")
+            target = (path.parent / unquote(name)).resolve() if name else path
+            target = target / "index.html" if target.is_dir() else target
+            missing = not target.is_file() or (
+                anchor and target in pages and unquote(anchor) not in pages[target].targets
+            )
+            if missing and not re.match(r"[a-z]+:", link):
+                broken.setdefault(path.relative_to(site).as_posix(), []).append(link)
+    return broken
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built strictly: broken links, missing pages and unknown modules are errors."""
+    folder = tmp_path_factory.mktemp("site").resolve()
+    line = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    environments = (tmp_path / "reference" / "api" / "environments.html").read_text(encoding="utf-8")
+    return folder
+
+
+def test_the_site_has_the_interfaces(site):
+    """The API reference finds the modules."""
+    environments = (site / "reference" / "api" / "environments.html").read_text(encoding="utf-8")
     assert 'id="eia_sec.rollout.envs.vector.FarmVectorEnv"' in environments
+
+
+def test_every_link_of_the_site_leads_somewhere(site):
+    """Those to README, to notebooks and to results, too; strict builds do not look outside docs/."""
+    assert (site / "project" / "index.html").is_file()
+    assert broken_on_site(site) == {}
+
+
+def test_a_broken_link_of_a_site_is_found(tmp_path):
+    """To a file that is missing, and to an anchor that is missing; those elsewhere are not looked at."""
+    (tmp_path / "a.html").write_text('<p id="x"><a href="b.html#y"></a><a href="#x"></a><a href="https://z"></a>')
+    (tmp_path / "b.html").write_text('<a href="a.html#x"></a><img src="no.png"><a href="a.html#no"></a>')
+    assert broken_on_site(tmp_path) == {"a.html": ["b.html#y"], "b.html": ["no.png", "a.html#no"]}
+
+
+def test_every_setting_is_found_by_itself(site):
+    """The search has an entry of its own for each."""
+    entries = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
+    places = {entry["location"] for entry in entries}
+    assert {"reference/configuration.html#farmworldfield_x", "reference/configuration.html#algorithmclip"} <= places
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1280])
+def test_no_page_scrolls_sideways(site, width):
+    """On a phone and on a laptop; wide tables scroll within themselves."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("there is no chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": width, "height": 844})
+        wide = []
+        for path in sorted(site.rglob("*.html")):
+            page.goto(path.as_uri())
+            if page.evaluate("document.documentElement.scrollWidth") > width:
+                wide.append(path.relative_to(site).as_posix())
+        browser.close()
+    assert wide == []
