@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.image import AxesImage
@@ -23,6 +22,7 @@ from eia_sec.common.environment import EpisodeMetric
 from eia_sec.common.farm import farm_team
 from eia_sec.rollout.evaluation import Trajectory
 from eia_sec.rollout.rendering.airspace import WindArrow, draw_outlines, outline_handles
+from eia_sec.rollout.rendering.farm_map import SOIL
 from eia_sec.rollout.rendering.palette import (
     AGE_MAP,
     COLOURS,
@@ -52,7 +52,8 @@ TEXT: Final[dict[str, Any]] = {"fontsize": 9}
 FADING: Final = "path: faint at first, full at the end"
 SCALE_LABELS: Final = ("AoI of a sensor, end", "VDF of a plot, end")
 LENGTH: Final = EpisodeMetric("steps", "steps of an episode", "length of an episode", "steps")
-_SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
+LAST_STEPS: Final = 100
+"""Steps of the paths on a single map; more would cover it."""
 
 Numbers = NDArray[np.float64]
 
@@ -62,8 +63,9 @@ def curves(
     path: Path,
     levels: Mapping[str, float] | None = None,
     episode_metrics: Sequence[EpisodeMetric] = (),
+    title: str = "",
 ) -> None:
-    """Draw reward, and the episode metrics or the length of episodes, against training episodes.
+    """Draw the mean reward, that of each type, and the episode metrics or the length of episodes, by episode.
 
     Args:
         metrics: the run's records. Records of kind "episodes" are drawn, those of kind "imitation" become ticks, and
@@ -71,30 +73,38 @@ def curves(
         path: the picture, PNG.
         levels: mean reward per agent of other policies by name, drawn as labelled lines.
         episode_metrics: the environment's; those that it wants plotted are drawn below the rewards.
+        title: whose curves they are.
     """
-    curves_figure(metrics, levels, episode_metrics).savefig(path, dpi=DPI)
+    curves_figure(metrics, levels, episode_metrics, title).savefig(path, dpi=DPI)
 
 
 def curves_figure(
     metrics: Sequence[Mapping[str, Any]],
     levels: Mapping[str, float] | None = None,
     episode_metrics: Sequence[EpisodeMetric] = (),
+    title: str = "",
 ) -> Figure:
     """Return the figure that `curves` saves."""
     records = [record for record in metrics if record.get("kind") == "episodes"]
     events = [int(record["episodes"]) for record in metrics if record.get("kind") == "imitation"]
     episodes = np.array([record["episodes"] for record in records], np.float64)
-    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     kinds = [name for name in (records[0]["reward"] if records else {}) if name != "mean"]
-    for index, name in enumerate([*kinds, "mean"] if len(kinds) != 1 else ["mean"]):
+    parted = len(kinds) > 1
+    figure = Figure(figsize=(8.0, 8.4 if parted else 6.4), layout="constrained")
+    heights = (1.6, 1.6, 1.0) if parted else (2.2, 1.0)
+    panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    upper, lower = panels[0], panels[-1]
+    figure.suptitle(title, fontsize=10)
+    for index, name in enumerate(["mean", *(kinds if parted else [])]):
         values = np.array([record["reward"][name] for record in records], np.float64)
         colour = COLOURS.get(name, OTHER_COLOURS[index % len(OTHER_COLOURS)])
         style: LineStyle = STYLES.get(name, "--")
-        _curve(upper, episodes, values, colour, LABELS.get(name, name), style, 2.2 if name == "mean" else 1.5)
+        axes = upper if name == "mean" else panels[1]
+        _curve(axes, episodes, values, colour, LABELS.get(name, name), style, 2.2 if name == "mean" else 1.5)
     _levels(upper, levels or {})
     _events(upper, events)
-    upper.set_ylabel("reward of an episode, per agent")
+    for axes in panels[:-1]:
+        axes.set_ylabel("reward per agent and episode")
     shown = [metric for metric in episode_metrics if metric.plotted and records and metric.name in records[0]]
     for metric in shown or [LENGTH]:
         values = np.array([record[metric.name] for record in records], np.float64)
@@ -103,30 +113,32 @@ def curves_figure(
     lower.set_ylim(bottom=0.0)
     lower.set_xlabel("training episodes")
     lower.set_ylabel(", ".join(dict.fromkeys(metric.unit for metric in shown or [LENGTH])))
-    for axes in (upper, lower):
+    for axes in panels:
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=5, frameon=False, **TEXT)
     return figure
 
 
-def trajectories(trajectory: Trajectory, path: Path) -> None:
-    """Draw the farm and the paths of all UAVs over it.
+def trajectories(trajectory: Trajectory, path: Path, title: str = "") -> None:
+    """Draw the farm at an episode's end, and the paths of all UAVs in its last LAST_STEPS steps.
 
     Args:
         trajectory: a recorded episode.
         path: the picture, PNG.
+        title: whose paths they are.
     """
-    trajectories_figure(trajectory).savefig(path, dpi=DPI)
+    trajectories_figure(trajectory, title).savefig(path, dpi=DPI)
 
 
-def trajectories_figure(trajectory: Trajectory) -> Figure:
+def trajectories_figure(trajectory: Trajectory, title: str = "") -> Figure:
     """Return the figure that `trajectories` saves."""
     figure = Figure(figsize=(9.6, 7.2), layout="constrained")
+    figure.suptitle(title, fontsize=10)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
     axes = figure.add_subplot(grid[:, 0])
     scales = _map(axes, trajectory, fading=False)
-    axes.set_title(_headline(trajectory), loc="left", fontsize=10)
+    axes.set_title(_headline(trajectory), loc="left", fontsize=9)
     _key(figure, grid, trajectory, scales)
     return figure
 
@@ -154,7 +166,7 @@ def comparison_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
     halves = (grid[1, : len(flown)], grid[1, len(flown) :])
     for artist, label, half in zip(scales, SCALE_LABELS, halves, strict=True):
         figure.colorbar(artist, cax=figure.add_subplot(half), orientation="horizontal", label=label)
-    handles: list[Any] = [*_legend(flown[0]), _fading()]
+    handles: list[Any] = [*_legend(flown[0], "start of a UAV"), _fading()]
     figure.legend(
         handles,
         [*(handle.get_label() for handle in handles[:-1]), FADING],
@@ -174,7 +186,7 @@ def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0)
         trajectory.final_vdf.T,
         origin="lower",
         extent=(0.0, world.field_x, 0.0, world.field_y),
-        cmap=_SHADES,
+        cmap=SOIL,
         vmin=0.0,
         vmax=world.vdf_max,
         zorder=0,
@@ -196,7 +208,13 @@ def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[P
     """Draw the legend and both scales into the grid's last column."""
     key = figure.add_subplot(grid[0, -1])
     key.set_axis_off()
-    key.legend(handles=_legend(trajectory), loc="upper left", borderaxespad=0.0, frameon=False, **TEXT)
+    key.legend(
+        handles=_legend(trajectory, f"UAV {_drawn(trajectory)} steps before"),
+        loc="upper left",
+        borderaxespad=0.0,
+        frameon=False,
+        **TEXT,
+    )
     for row, (artist, label) in enumerate(zip(scales, SCALE_LABELS, strict=True)):
         figure.colorbar(artist, cax=figure.add_subplot(grid[1 + row, -1]), orientation="horizontal", label=label)
 
@@ -225,7 +243,7 @@ def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
     low, high = axes.get_ylim()
     low, high = min(low, *levels.values()), max(high, *levels.values())
     axes.set_ylim(low - 0.02 * (high - low), high + 0.04 * (high - low))
-    least, text_y = 0.045 * (high - low), -np.inf
+    least, text_y = 0.06 * (high - low), -np.inf
     for name, level in sorted(levels.items(), key=lambda item: item[1]):
         axes.axhline(level, color="0.4", linestyle=(0, (5, 3)), linewidth=1.0, zorder=1)
         text_y = max(level, text_y + least)
@@ -282,6 +300,7 @@ def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> Non
     for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
         for agent in range(agents.start, agents.stop):
             path, colour = trajectory.position[:, agent], COLOURS[name]
+            path = path if fading else path[-1 - _drawn(trajectory) :]
             piece = PIECE_STEPS if fading else len(path)
             for first in range(0, len(path), piece):
                 share = (first + piece) / len(path) if fading else 1.0
@@ -316,8 +335,13 @@ def _fading() -> tuple[Line2D, ...]:
     return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
 
 
-def _legend(trajectory: Trajectory) -> list[Artist]:
-    """Return the legend's entries."""
+def _drawn(trajectory: Trajectory) -> int:
+    """Return how many steps of the paths a single map shows."""
+    return min(LAST_STEPS, len(trajectory.position) - 1)
+
+
+def _legend(trajectory: Trajectory, start: str) -> list[Artist]:
+    """Return the legend's entries; `start` says where paths begin."""
     handles: list[Artist] = [
         Line2D(
             [],
@@ -331,9 +355,7 @@ def _legend(trajectory: Trajectory) -> list[Artist]:
         )
         for name in TYPES
     ]
-    handles.append(
-        Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label="start of a UAV")
-    )
+    handles.append(Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label=start))
     handles.append(Line2D([], [], color="0.15", linestyle=":", label="relay link, end"))
     for kind, cycle in enumerate(trajectory.config.world.sensor_cycles):
         marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]

@@ -52,12 +52,13 @@ def write_report(
     results = evaluate_all(config, path, farms)
     metrics = read_metrics(path / METRICS)
     references = reference_policies(config)
+    title = f"{path.name}: {config.algorithm.name}, seed {config.seed}"
     levels = {result.policy: result.total.reward for result in results if result.policy in references}
-    curves(metrics, path / "curves.png", levels, results[0].environment.episode_metrics)
+    curves(metrics, path / "curves.png", levels, results[0].environment.episode_metrics, title)
     pictures = ["curves.png"]
     if farm is not None:
         policy = ActorPolicy(load_policy(path / POLICY)[0])
-        trajectories(record(farm, policy, first, 0), path / "trajectories.png")
+        trajectories(record(farm, policy, first, 0), path / "trajectories.png", title)
         pictures.append("trajectories.png")
     outcome = {
         "command": " ".join(command),

@@ -20,6 +20,7 @@ from eia_sec.deploy.reports.plots import (
     trajectories_figure,
 )
 from eia_sec.rollout.evaluation import Evaluation, Score, Trajectory
+from eia_sec.rollout.rendering.palette import SOIL_STOPS, rgb
 from eia_sec.rollout.sim.stations import station_places
 
 
@@ -79,10 +80,28 @@ def test_curves_of_a_run_that_hardly_began(count, tmp_path):
     """No, one or two records still make a picture, and a single record is a visible dot."""
     curves(metrics(count), tmp_path / "curves.png", {"lawnmower": 895.0}, EPISODE_METRICS)
     assert width_of(tmp_path / "curves.png") >= 1000
-    dots = [
-        line for line in curves_figure(metrics(count), {}, EPISODE_METRICS).axes[1].lines if line.get_marker() == "o"
-    ]
+    lowest = curves_figure(metrics(count), {}, EPISODE_METRICS).axes[-1]
+    dots = [line for line in lowest.lines if line.get_marker() == "o"]
     assert bool(dots) == (count == 1)
+
+
+def test_the_mean_has_a_panel_of_its_own():
+    """Types are beside each other in the next one; a team of one type has no such panel, and the title says whose."""
+    figure = curves_figure(metrics(), {"lawnmower": 95.0}, EPISODE_METRICS, "first: ippo, seed 0")
+    assert figure.get_suptitle() == "first: ippo, seed 0"
+    assert labels(figure.axes[0]) == {"all agents", "imitation"}
+    assert labels(figure.axes[1]) == {"communication", "monitoring", "data collection"}
+    alone = [{"kind": "episodes", "episodes": 1, "reward": {"mean": 1.0, "a": 1.0}, "steps": 9}]
+    assert len(curves_figure(alone).axes) == 2
+
+
+def test_map_shows_the_last_steps_alone(trajectory):
+    """Longer paths would cover the map; the legend says how far back they begin."""
+    walk = np.cumsum(np.ones((301, 4, 2)), axis=0)
+    axes, key, *_ = trajectories_figure(replace(trajectory, position=walk)).axes
+    assert max(len(line.get_xdata()) for line in axes.lines) == 101
+    assert "UAV 100 steps before" in labels(key)
+    np.testing.assert_allclose(axes.images[0].cmap(1.0), (*np.array(rgb(SOIL_STOPS[-1])) / 255, 1.0), atol=0.01)
 
 
 def test_map_shows_plots_sensors_paths_and_links(trajectory):

@@ -36,7 +36,7 @@ def test_a_run_elsewhere_is_compared_with_its_beginning_and_random_actions(
     rows = [row("this run", 1.0), row("this run, sampled", 2.0), row("untrained", 3.0), row("random", 4.0)]
     drawn: dict[str, float] = {}
     monkeypatch.setattr(run_report, "evaluate_all", lambda *arguments: rows)
-    monkeypatch.setattr(run_report, "curves", lambda metrics, path, levels, shown: drawn.update(levels))
+    monkeypatch.setattr(run_report, "curves", lambda metrics, path, levels, shown, title: drawn.update(levels))
     (tmp_path / METRICS).write_text("")
     said = io.StringIO()
     config = RunConfig(env=EnvConfig("toy_env:Relay"))
