@@ -86,7 +86,10 @@ COMMANDS: Final = {
         "eia_sec.deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),
     "monitor": Command("eia_sec.deploy.commands.monitoring.monitor", "watch a run live in the terminal, read-only"),
-    "watch": Command("eia_sec.deploy.commands.monitoring.watch", "watch a worker's farm, or any other environment, live in the browser"),
+    "watch": Command(
+        "eia_sec.deploy.commands.monitoring.watch",
+        "watch a worker's farm, or any other environment, live in the browser",
+    ),
 }
 
 
