@@ -24,7 +24,17 @@ ARGS ?=
 
 VENV := .venv
 READY := $(VENV)/.ready
-PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
+PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --no-color install --progress-bar off -c constraints.txt $(PIP_ARGS)
+
+# What pip is at: on a terminal one line that changes, else the large packages and the end. Warnings and errors stay whole.
+PIPE := export PYTHONUNBUFFERED=1; set -o pipefail
+define PIP_LINE
+while read -r line; do \
+  case "$$line" in Collecting*|Processing*|Downloading*|Preparing*|Installing*) ;; *) continue ;; esac; \
+  if [ -t 1 ]; then printf '\r\033[K  %.70s' "$$line"; \
+  else case "$$line" in *[0-9][0-9][0-9].[0-9]\ MB*|Installing*) printf '  %.100s\n' "$$line" ;; esac; fi; \
+done; if [ -t 1 ]; then printf '\r\033[K'; fi
+endef
 
 .PHONY: train test check nightly lint docs site bench-peers reproduce setup clean
 
@@ -62,6 +72,8 @@ reproduce: $(READY)
 
 setup: $(READY)
 
+# bash, because a pipe must fail where pip does
+$(READY): SHELL := bash
 $(READY): pyproject.toml constraints.txt
 	@command -v "$(PYTHON)" >/dev/null || { \
 	  echo "EIA-SEC needs Python 3.11 or newer, and $(PYTHON) was not found; name one with PYTHON=python3.11" >&2; \
@@ -72,9 +84,9 @@ $(READY): pyproject.toml constraints.txt
 	  exit 2; }
 	@echo "Setting up $(VENV): a few minutes, only this once."
 	@"$(PYTHON)" -m venv $(VENV)
-	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
-	@$(PIP) --no-build-isolation --editable '.[dev,export,mavlink,record]'
-	@echo "Compiling the simulator once, so that no process has to."
+	@$(PIPE); $(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling | { $(PIP_LINE); }
+	@$(PIPE); $(PIP) --no-build-isolation --editable '.[dev,export,mavlink,record]' | { $(PIP_LINE); }
+	@echo "Compiling the simulator once, so that no process has to: about a minute."
 	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from eia_sec.common.config import FarmConfig; from eia_sec.rollout.sim.batch import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)
