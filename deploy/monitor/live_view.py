@@ -113,7 +113,7 @@ def _learning(snapshot: Snapshot) -> Panel:
         value = Text(number(series.latest, series.digits))
         grid.add_row(Text(series.name), value, Sparkline(series.values, "blue", 120, series.digits))
     waiting = Text("No episode has ended yet.", style="dim")
-    title = ", ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
+    title = ", ".join(["reward per agent with noise", *(series.name for series in snapshot.freshness)])
     return _panel(title, grid if grid.row_count else waiting)
 
 

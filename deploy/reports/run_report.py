@@ -117,9 +117,9 @@ def next_commands(path: Path, config: RunConfig) -> list[str]:
     if farm_of(config) is not None:
         try:
             find_ffmpeg()
-            found.insert(0, (f"eia-sec replay {run}{end}", "a film beside the lawnmower; about a minute"))
+            found.insert(0, (f"eia-sec replay {run}{end}", "a film, in about a minute"))
         except UsageError:
-            found.insert(0, (f"eia-sec replay {run}{end} --film none", "all flight paths beside the lawnmower's"))
+            found.insert(0, (f"eia-sec replay {run}{end} --film none", "a picture of all paths"))
     width = max(len(typed) for typed, _ in found)
     return [f"  {typed:<{width}}   # {why}" for typed, why in found]
 
