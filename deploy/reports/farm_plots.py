@@ -19,8 +19,8 @@ DENSITIES: Final[tuple[Density, ...]] = ("uniform", "irregular", "clustered", "b
 """All densities, in the order of the plot."""
 SEEDS: Final = (0, 1, 2)
 """Farm seeds of each density in the plot."""
-TYPE_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-"""Colours of Okabe and Ito; the markers differ as well."""
+TYPE_GREYS: Final = ("0.1", "0.45", "0.65")
+"""Of the types of sensors, whose markers differ as well; colours belong to UAVs and ages."""
 
 
 def draw_farm(config: FarmConfig, seed: int, path: Path) -> None:
@@ -61,12 +61,15 @@ def draw_densities(path: Path) -> None:
     for row, seed in zip(rows, SEEDS, strict=True):
         for axes, density in zip(row, DENSITIES, strict=True):
             config = FarmConfig(world=replace(WorldConfig(), density=density))
-            _scatter(axes, make_layout(config, seed), config.world, 4.0)
+            _scatter(axes, make_layout(config, seed), config.world, 6.0)
             axes.tick_params(labelsize=7)
             axes.set_title(f"{density}, farm {seed}", loc="left", **TEXT)
         row[0].set_ylabel("y, m", **TEXT)
     for axes in rows[-1]:
         axes.set_xlabel("x, m", **TEXT)
+    handles, labels = rows[0][0].get_legend_handles_labels()
+    named = [f"sensor, {label}" for label in labels]
+    figure.legend(handles, named, loc="outside lower center", ncols=len(named), markerscale=2.0, frameon=False, **TEXT)
     _save(figure, path)
 
 
@@ -78,14 +81,14 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _scatter(axes: Axes, layout: Layout, world: WorldConfig, size: float) -> None:
-    """Draw the sensors within the field, with a colour and a marker for each type."""
+    """Draw the sensors within the field, with a grey and a marker for each type."""
     for kind, cycle in enumerate(world.sensor_cycles):
         chosen = layout.sensor_type == kind
         axes.scatter(
             layout.sensor_xy[chosen, 0],
             layout.sensor_xy[chosen, 1],
             s=size,
-            color=TYPE_COLOURS[kind % len(TYPE_COLOURS)],
+            color=TYPE_GREYS[kind % len(TYPE_GREYS)],
             marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
             linewidths=0.0,
             clip_on=False,

@@ -56,6 +56,16 @@ FAINT: Final = 0.3
 UP: Final = "0.15"
 """Colour of links that are up."""
 DOTTED: Final = (0, (1.0, 1.6))
+_WIDE, _FAR = 0.5, 1.0
+BROAD_PLUS: Final = Path(
+    [
+        *((_FAR, -_WIDE), (_FAR, _WIDE), (_WIDE, _WIDE), (_WIDE, _FAR), (-_WIDE, _FAR), (-_WIDE, _WIDE)),
+        *((-_FAR, _WIDE), (-_FAR, -_WIDE), (-_WIDE, -_WIDE), (-_WIDE, -_FAR), (_WIDE, -_FAR), (_WIDE, -_WIDE)),
+        (_FAR, -_WIDE),
+    ],
+    closed=True,
+)
+"""A relay's marker, with arms that a number fits into."""
 
 
 class FarmMap:
@@ -245,7 +255,14 @@ def _make_uavs(axes: Axes, scene: Scene) -> tuple[list[PathCollection], list[Pat
     """Make a marker for each type, and the digits drawn inside the markers for each UAV number."""
     uavs = [
         axes.scatter(
-            [], [], color=COLOURS[name], marker=END_MARKERS[name], s=230, linewidths=1.2, edgecolors="white", zorder=5
+            [],
+            [],
+            color=COLOURS[name],
+            marker=BROAD_PLUS if name == COMMUNICATION else END_MARKERS[name],
+            s=320 if name == COMMUNICATION else 230,
+            linewidths=1.2,
+            edgecolors="white",
+            zorder=5,
         )
         for name in TYPES
     ]

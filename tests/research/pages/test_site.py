@@ -48,7 +48,7 @@ def test_relative_links_lead_somewhere():
 
 def missing_files(text: str, tracked: set[str]) -> list[str]:
     """Return the source files that a page names in backticks and that do not exist, by their whole path or its end."""
-    named = [name for name in re.findall(r"`([\w/.-]+\.py)`", text) if not name.endswith("/NAME.py")]
+    named = [name for name in re.findall(r"`([\w/.-]+\.py)`", text) if not name.endswith("NAME.py")]
     return [name for name in named if not any(path == name or path.endswith(f"/{name}") for path in tracked)]
 
 
