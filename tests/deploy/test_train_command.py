@@ -96,3 +96,13 @@ def test_a_run_that_cannot_make_one_update_says_so(name, episodes, said):
     found = train.shortage(config, environment)
     assert ("at most 300 steps, and the first update needs 400" in found) == said
     assert bool(found) == said
+
+
+def test_both_readers_are_named_in_any_environment(tmp_path):
+    """With the run's folder, and with a certificate of their own where the run has TLS."""
+    for name in ("farm", "mpe2:simple_spread_v3"):
+        settings = RunConfig(env=EnvConfig(name))
+        _, *lines = train._where_to_watch(TrainArguments(settings=settings), Path("my run"))
+        assert lines == ["  eia-sec monitor 'my run'", "  eia-sec watch 'my run'   # in the browser"]
+    _, *lines = train._where_to_watch(TrainArguments(tls=tmp_path), Path("run"))
+    assert lines[0] == f"  eia-sec monitor run --tls {tmp_path}/monitor.NAME"

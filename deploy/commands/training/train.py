@@ -17,7 +17,6 @@ from eia_sec.common.config.checks import within
 from eia_sec.common.config.presets import preset_for
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, UsageError
-from eia_sec.common.farm import farm_of
 from eia_sec.common.process import StopSignal
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.bus import Bus
@@ -45,7 +44,8 @@ if TYPE_CHECKING:
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
 """Seconds between two lines of output without a terminal."""
-IN_BROWSER = {"monitor": "", "watch": "   # in the browser"}
+READERS = {"monitor": "", "watch": "   # in the browser"}
+"""The commands that show a run, and a remark on each."""
 RUN = "train"
 OPERATOR = "operator.train"
 """Certificate of this process that `--tls` needs besides those of the others."""
@@ -158,9 +158,9 @@ def command(arguments: Sequence[str]) -> int:
 def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
     """Return lines with the run directory and the commands that show the run."""
     lines = [f"run directory: {run}; to watch it from another terminal:"]
-    for reader in ("monitor", "watch") if farm_of(options.settings) is not None else ("monitor",):
+    for reader, where in READERS.items():
         own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        lines.append(f"  eia-sec {reader} {shlex.quote(str(run))}{own}{IN_BROWSER[reader]}")
+        lines.append(f"  eia-sec {reader} {shlex.quote(str(run))}{own}{where}")
     return lines
 
 
