@@ -42,7 +42,7 @@ export class Steps {
     if (!found) {
       const { silence } = past.at(at).packet;
       by("silence").textContent = silence
-        ? `No pictures: ${silence.replace(/\.$/, "")}. Beside are the agents' numbers; eia-sec monitor shows the run's `
+        ? `No pictures: ${silence.replace(/\.$/, "")}. The agents' numbers come all the same; eia-sec monitor shows the run's `
           + "progress in a terminal."
         : "Pictures, where the environment draws any, begin with its next episode.";
       return;
