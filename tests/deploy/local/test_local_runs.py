@@ -11,7 +11,6 @@ import pytest
 
 from eia_sec.common.errors import EndpointError, UsageError
 from eia_sec.common.transport.endpoint import DEFAULT, free_endpoint
-from eia_sec.deploy.commands.monitoring import watch
 from eia_sec.deploy.local.local_runs import LocalRun, chosen, folder, listed, local_runs, reached
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory
 
@@ -135,12 +134,6 @@ def test_a_run_without_a_place_for_its_file_goes_on(tmp_path, monkeypatch, capsy
 
 def _homeless():
     raise RuntimeError("Could not determine home directory.")
-
-
-def test_the_page_draws_farms_alone():
-    """Of another environment the terminal's view is named, before anything is served."""
-    with listed(a_run("a", environment="mytask.env:Cover")), pytest.raises(UsageError, match="eia-sec monitor --run a"):
-        watch.command([])
 
 
 def test_a_run_that_has_begun_is_waited_for(tmp_path):

@@ -116,7 +116,7 @@ def test_mistakes_are_usage_errors(run_dir, tmp_path):
         run(EvaluateArguments())
     with pytest.raises(UsageError, match="--episodes"):
         run(EvaluateArguments(policy="random", episodes=0))
-    with pytest.raises(RunDirError, match="not a run directory"):
+    with pytest.raises(RunDirError, match="there is no directory"):
         run(EvaluateArguments(run_dir=tmp_path / "nowhere"))
     with pytest.raises(ConfigError, match="unknown configuration key"):
         run(EvaluateArguments(policy="random", set=("farm.world.colour=3",)))
