@@ -46,7 +46,7 @@ class Client(Protocol):
 
 
 class _Wandb:
-    """Weights & Biases; with WANDB_MODE=offline everything stays in the run directory."""
+    """Weights & Biases, which keeps its files where WANDB_DIR says: they hold links, which a run directory must not."""
 
     def __init__(self, module: Any) -> None:
         self._module, self._run = module, module.Run
@@ -56,11 +56,10 @@ class _Wandb:
             project=os.environ.get("WANDB_PROJECT", PROJECT),
             name=folder.name,
             group=folder.name,
-            dir=str(folder),
             config=dict(options),
             settings=self._module.Settings(console="off", silent=True),
         )
-        return str(self._run.dir if self._run.offline else self._run.url)
+        return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def send(self, step: int, values: Mapping[str, float]) -> None:
         self._run.log(dict(values), step=step)

@@ -11,6 +11,7 @@ from eia_sec.common.errors import UsageError
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.exit_codes import USAGE, run_command
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.monitor import tracker
 from eia_sec.deploy.monitor.tracker import Tracker, client_of
 
@@ -117,14 +118,36 @@ def test_a_missing_client_is_named_before_anything_is_made(tmp_path, monkeypatch
     assert not (tmp_path / "runs").exists()
 
 
-def test_wandb_keeps_a_run_offline(tmp_path, monkeypatch):
-    """Everything is in the run directory, to be uploaded by `wandb sync`."""
-    pytest.importorskip("wandb")
+@pytest.mark.parametrize("name", ["wandb", "mlflow"])
+def test_a_run_directory_stays_usable_beside_a_tracker(tmp_path, monkeypatch, name):
+    """The learner, and later a resume, prepare and lock it after the tracker has begun; both refuse links in it."""
+    pytest.importorskip(name)
     monkeypatch.setenv("WANDB_MODE", "offline")
-    tracked = Tracker(client_of("wandb"), tmp_path, preset("default"), TEAM)
+    monkeypatch.delenv("WANDB_DIR", raising=False)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    monkeypatch.chdir(tmp_path)
+    config, folder = preset("default"), tmp_path / "runs" / "mine"
+    RunDirectory(folder).prepare(config, resume=False)
+    tracked = Tracker(client_of(name), folder, config, TEAM)
+    learner = RunDirectory(folder)
+    learner.prepare(config, resume=False)
+    learner.lock("learner.lock", directory=True)
     tracked.log(metrics(10))
-    assert tracked.finish().startswith("wandb has the run: ")
+    tracked.finish()
+    learner.unlock()
+    RunDirectory(folder).prepare(config, resume=True)
+
+
+def test_wandb_keeps_a_run_offline(tmp_path, monkeypatch):
+    """Everything is in one folder, to be uploaded by `wandb sync`."""
+    pytest.importorskip("wandb").teardown()  # it reads its variables once
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_DIR", str(tmp_path))
+    tracked = Tracker(client_of("wandb"), tmp_path / "mine", preset("default"), TEAM)
+    tracked.log(metrics(10))
+    said = tracked.finish()
     (record,) = (tmp_path / "wandb").glob("offline-run-*/run-*.wandb")
+    assert said == f"wandb has the run: {record.parent}"
     deadline = time.monotonic() + 30.0  # a process of wandb's own writes it
     while b"charts/episodic_return" not in (content := record.read_bytes()) and time.monotonic() < deadline:
         time.sleep(0.1)
