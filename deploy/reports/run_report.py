@@ -26,7 +26,8 @@ from eia_sec.rollout.policies import ActorPolicy, BatchPolicy, SampledPolicy, re
 from eia_sec.rollout.shipped_policies import is_file
 
 TRAINED: Final = "this run"
-BEGINNING: Final = "untrained"
+BEGINNINGS: Final = ("untrained", "at the beginning")
+"""What the actors are called with which a run began: fresh ones, and those of a policy or of demonstrations."""
 SAMPLED: Final = ", sampled"
 
 
@@ -85,12 +86,15 @@ def evaluate_all(config: RunConfig, folder: Path, farms: Sequence[int]) -> list[
     Outside the farm, policies with a distribution are evaluated by drawn actions, too.
     """
     policies: dict[str, BatchPolicy[Any]] = {}
-    for name, file in ((TRAINED, POLICY), (BEGINNING, UNTRAINED)):
-        if is_file(folder / file):  # a full disk may have kept the second one away
-            actors = load_policy(folder / file)[0]
-            policies[name] = ActorPolicy(actors)
-            if actors.draws and farm_of(config) is None:
-                policies[f"{name}{SAMPLED}"] = SampledPolicy(actors)
+    begun = config.learns_on_policy and bool(config.on_policy.start_policy)
+    files = {TRAINED: POLICY}
+    if is_file(folder / UNTRAINED):  # a full disk may have kept it away
+        files[BEGINNINGS[begun]] = UNTRAINED
+    for name, file in files.items():
+        actors = load_policy(folder / file)[0]
+        policies[name] = ActorPolicy(actors)
+        if actors.draws and farm_of(config) is None:
+            policies[f"{name}{SAMPLED}"] = SampledPolicy(actors)
     policies |= {name: run_policy(name, config) for name in reference_policies(config)}
     episodes = config.evaluation.episodes
     with progress("evaluating") as tell:
@@ -102,7 +106,7 @@ def evaluate_all(config: RunConfig, folder: Path, farms: Sequence[int]) -> list[
 
 def shown(results: Sequence[Evaluation], references: Sequence[str]) -> list[Evaluation]:
     """Return the columns of the table: before training, after it, and the best reference."""
-    order = [BEGINNING, f"{BEGINNING}{SAMPLED}", TRAINED, f"{TRAINED}{SAMPLED}"]
+    order = [f"{name}{drawn}" for name in (*BEGINNINGS, TRAINED) for drawn in ("", SAMPLED)]
     own = sorted((one for one in results if one.policy in order), key=lambda one: order.index(one.policy))
     best = max((one for one in results if one.policy in references), key=lambda one: one.total.reward)
     named = replace(best, policy="random actions" if len(references) == 1 else f"best heuristic:\n{best.policy}")

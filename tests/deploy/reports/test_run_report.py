@@ -1,6 +1,7 @@
 """The report at a run's end."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.files import with_values
 from eia_sec.common.config.presets import preset
 from eia_sec.common.environment import EnvironmentSpec
-from eia_sec.common.errors import UsageError
+from eia_sec.common.errors import PolicyError, UsageError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.policy_file import save_policy
 from eia_sec.common.team import GroupSpec, TeamSpec
@@ -59,17 +60,31 @@ def test_the_table_has_the_best_heuristic_alone() -> None:
 
 
 def test_what_the_run_began_as_is_evaluated_where_it_was_kept(tmp_path: Path) -> None:
-    """On the same farms as the run's policy; without its file, as after a full disk, the others remain."""
+    """On the same farms as the run's policy, by what it was; without its file, as on a full disk, the others remain."""
     config = with_values(preset("quick"), SMALL)
     for seed, name in enumerate((POLICY, UNTRAINED)):
         save_policy(tmp_path / name, TeamActors.initial(farm_team(config.farm), 8, seed), {})
     found = run_report.evaluate_all(config, tmp_path, [1000])
     assert [one.policy for one in found][:2] == ["this run", "untrained"]
     assert found[0].total != found[1].total
+    begun = with_values(config, {"algorithm.start_policy.all": "long"})
+    as_policy = run_report.evaluate_all(begun, tmp_path, [1000])
+    assert as_policy[1].policy == "at the beginning"
+    shown = run_report.shown(as_policy, [one.policy for one in as_policy[2:]])
+    assert [one.policy for one in shown][:2] == ["at the beginning", "trained"]
     (tmp_path / UNTRAINED).unlink()
     assert [one.policy for one in run_report.evaluate_all(config, tmp_path, [1000])] == [
         one.policy for one in found if one.policy != "untrained"
     ]
+
+
+@pytest.mark.parametrize("name", ["farm", "toy_env:Relay"])
+def test_a_run_without_its_policy_is_not_reported(tmp_path: Path, name: str) -> None:
+    """What the run began as would be taken for what it has learned."""
+    config = replace(RunConfig(), env=EnvConfig(name))
+    save_policy(tmp_path / UNTRAINED, TeamActors.initial(ENVIRONMENT.team, 8, 0), {})
+    with pytest.raises(PolicyError, match=r"policy\.safetensors"):
+        run_report.evaluate_all(config, tmp_path, [1000])
 
 
 def test_only_commands_that_work_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
