@@ -7,19 +7,23 @@ never training.
 import importlib
 import os
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from types import TracebackType
+from typing import Any, Final, Literal, Protocol, Self
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import plain_options
-from eia_sec.common.errors import UsageError
+from eia_sec.common.errors import CancelledError, UsageError
 from eia_sec.common.protocol.metrics import scalars
 from eia_sec.common.team import TeamSpec
 
 TrackerName = Literal["wandb", "mlflow"]
+Outcome = Literal["finished", "failed", "killed"]
+"""How a run ended; `killed` is one that somebody stopped."""
 PROJECT: Final = "eia-sec"
 """Project of Weights & Biases, or experiment of MLflow, unless their environment variables name another."""
 WAITING: Final = 600
@@ -28,6 +32,10 @@ FAREWELL_SECONDS: Final = 30.0
 """Longest wait at the end for what has not been sent."""
 MOST_PARAMETERS: Final = 100
 """Parameters in one request to MLflow, which refuses more."""
+STEPS: Final = "environment_steps"
+"""Name of Weights & Biases' horizontal axis."""
+MOST_NAME: Final = 250
+"""Most characters of a name that MLflow takes."""
 MOST_TEXT: Final = 500
 """Most characters of a parameter of MLflow, which refuses longer ones, and of an error that is shown."""
 
@@ -41,7 +49,7 @@ class Client(Protocol):
     def send(self, step: int, values: Mapping[str, float]) -> None:
         """Send scalars by their names, at a number of environment steps."""
 
-    def end(self) -> None:
+    def end(self, outcome: Outcome) -> None:
         """End the run."""
 
 
@@ -59,13 +67,15 @@ class _Wandb:
             config=dict(options),
             settings=self._module.Settings(console="off", silent=True),
         )
+        self._run.define_metric("*", step_metric=STEPS)
         return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def send(self, step: int, values: Mapping[str, float]) -> None:
-        self._run.log(dict(values), step=step)
+        # Not as `step`: wandb drops what is not beyond the newest one, and a resumed learner repeats steps.
+        self._run.log({STEPS: step, **values})
 
-    def end(self) -> None:
-        self._run.finish()
+    def end(self, outcome: Outcome) -> None:
+        self._run.finish(exit_code=0 if outcome == "finished" else 1)
 
 
 class _Mlflow:
@@ -82,51 +92,73 @@ class _Mlflow:
         known = client.get_experiment_by_name(name)
         experiment = client.create_experiment(name) if known is None else known.experiment_id
         self._run = client.create_run(experiment, run_name=folder.name).info.run_id
-        parameters = [self._module.entities.Param(key, str(value)[:MOST_TEXT]) for key, value in options.items()]
+        entry = self._module.entities.Param
+        parameters = [entry(_mlflow_name(key), str(value)[:MOST_TEXT]) for key, value in options.items()]
         for first in range(0, len(parameters), MOST_PARAMETERS):
             client.log_batch(self._run, params=parameters[first : first + MOST_PARAMETERS])
         return f"{where}, run {self._run}"
 
     def send(self, step: int, values: Mapping[str, float]) -> None:
         now = int(time.time() * 1000)
-        metrics = [self._module.entities.Metric(name, value, now, step) for name, value in values.items()]
+        entry = self._module.entities.Metric
+        metrics = [entry(_mlflow_name(name), value, now, step) for name, value in values.items()]
         self._client.log_batch(self._run, metrics=metrics)
 
-    def end(self) -> None:
-        self._client.set_terminated(self._run)
+    def end(self, outcome: Outcome) -> None:
+        self._client.set_terminated(self._run, status=outcome.upper())
+
+
+def _mlflow_name(name: str) -> str:
+    """Return a name that MLflow takes: one that it does not costs all of a request's metrics."""
+    parts = re.sub(r"[^/\w.\- :]", "_", name)[:MOST_NAME].split("/")
+    return "/".join("_" if part in ("", ".", "..") else part for part in parts)
 
 
 _CLIENTS: Final[Mapping[str, Callable[[Any], Client]]] = {"wandb": _Wandb, "mlflow": _Mlflow}
+_QUIET: Final = {"WANDB_ERROR_REPORTING": "false", "MLFLOW_DISABLE_TELEMETRY": "true"}
+"""Variables that keep the libraries from reporting on their use to their makers, which nobody has asked for."""
 
 
 def client_of(name: TrackerName) -> Client:
     """Return the client of a tracker; raise UsageError where its library is not installed."""
+    for variable, value in _QUIET.items():
+        os.environ.setdefault(variable, value)
     try:
-        return _CLIENTS[name](importlib.import_module(name))
+        module = importlib.import_module(name)
     except ImportError:
-        raise UsageError(f"--track {name} needs its client: pip install 'eia-sec[{name}]'.") from None
+        module = None
+    # Any folder of this name, such as the one in which wandb keeps its files, can be imported, as an empty package.
+    if module is None or getattr(module, "__file__", None) is None:
+        raise UsageError(f"--track {name} needs its client: pip install 'eia-sec[{name}]'.")
+    return _CLIENTS[name](module)
 
 
 class Tracker:
-    """A run of a tracker.
+    """A run of a tracker, which ends with the context, as `failed` where that raises.
 
     Args:
         client: the tracker's library.
         folder: the run directory, whose name the run gets.
         config: the run.
         team: its types of agents.
+        tell: shows a sentence: before it connects, which may ask for a login or take long, and at the end.
 
     Attributes:
         where: where the run can be seen.
         failure: what has been lost and why, or empty.
+        outcome: how the run ends unless an error ends it.
 
     Raises:
         UsageError: the tracker refuses to begin, for instance because nobody has logged in.
     """
 
-    def __init__(self, client: Client, folder: Path, config: RunConfig, team: TeamSpec) -> None:
-        self._client, self._types = client, [group.name for group in team.groups]
+    def __init__(
+        self, client: Client, folder: Path, config: RunConfig, team: TeamSpec, tell: Callable[[str], None]
+    ) -> None:
+        self._client, self._types, self._tell = client, [group.name for group in team.groups], tell
         self._name = type(client).__name__.strip("_").lower()
+        self.outcome: Outcome = "killed"
+        tell(f"connecting to {self._name} ...")
         try:
             self.where = client.begin(folder, plain_options(config))
         except Exception as error:
@@ -137,6 +169,16 @@ class Tracker:
         # A daemon: a client that hangs must not keep the process from ending.
         self._thread = threading.Thread(target=self._send_all, name="tracker", daemon=True)
         self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if isinstance(error, Exception) and not isinstance(error, CancelledError):
+            self.outcome = "failed"
+        self._tell(self._finish())
 
     def log(self, values: Mapping[str, Any]) -> None:
         """Send a learner's metrics, once."""
@@ -151,7 +193,7 @@ class Tracker:
         except queue.Full:
             self._lose("it is too slow")
 
-    def finish(self) -> str:
+    def _finish(self) -> str:
         """End the tracker's run, and return a sentence on it."""
         deadline = time.monotonic() + FAREWELL_SECONDS
         try:
@@ -171,7 +213,7 @@ class Tracker:
             except Exception as error:
                 self._lose(_sentence(error))
         try:
-            self._client.end()
+            self._client.end(self.outcome)
         except Exception as error:
             self._lose(_sentence(error))
 

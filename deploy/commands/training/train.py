@@ -117,8 +117,12 @@ def command(arguments: Sequence[str]) -> int:
         begun = clones.save(directory.path)
     preset = "" if options.preset or options.resume else f"preset: {chosen}; another one: --preset NAME"
     lines = filter(None, (preset, begun, shortage(options.settings, environment)))
-    for line in (*lines, *_where_to_watch(options, directory.path)):
+
+    def tell(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    for line in (*lines, *_where_to_watch(options, directory.path)):
+        tell(line)
     plan = ProcessPlan(
         options.settings,
         workers,
@@ -131,28 +135,48 @@ def command(arguments: Sequence[str]) -> int:
         tls=options.tls,
         learners=options.learners,
     )
-    tracker = None if client is None else Tracker(client, directory.path, options.settings, team)
+    asked = command_line(arguments, options, workers)
+    if client is None:
+        _train(plan, options, console, asked)
+    else:
+        with Tracker(client, directory.path, options.settings, team, tell) as tracker:
+            _train(plan, options, console, asked, tracker)
+    return 0
+
+
+def _train(
+    plan: ProcessPlan, options: TrainArguments, console: Console, asked: Sequence[str], tracker: Tracker | None = None
+) -> None:
+    """Train, then report on a run that has finished and say what to type next.
+
+    Args:
+        plan: the processes.
+        options: what the user gave.
+        console: shows the run.
+        asked: the command line, for the report.
+        tracker: gets metrics, the report's too, and whether the run has finished.
+    """
+    directory, served = plan.directory, options.settings.env.served
     training = _Training(plan, console, tracker)
     training.run()
-    served = options.settings.env.served
-    if not directory.finished():
+    finished = directory.finished()
+    if tracker is not None and finished:
+        tracker.outcome = "finished"
+    if not finished:
         if training.stopped:
             console.print(f"a callback stopped the run: {training.stopped}", highlight=False, markup=False)
         console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
     elif options.report and not served:  # a robot moves only as long as it was asked to
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
-        found = write_report(directory, options.settings, command_line(arguments, options, workers), console)
+        found = write_report(directory, options.settings, asked, console)
         if tracker is not None:
             tracker.log_scalars(found)
     else:
         again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
         own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
-        where = f" --endpoint {endpoint}{own}" if served else ""
+        where = f" --endpoint {plan.endpoint}{own}" if served else ""
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
-    if tracker is not None:
-        console.print(tracker.finish(), highlight=False, markup=False, soft_wrap=True)
-    return 0
 
 
 def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
