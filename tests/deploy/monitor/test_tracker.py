@@ -234,7 +234,9 @@ def test_a_run_directory_stays_usable_beside_a_tracker(tmp_path, monkeypatch, na
         learner.lock("learner.lock", directory=True)
         tracked.log(metrics(10))
     learner.unlock()
-    RunDirectory(folder).prepare(config, resume=True)
+    resumed = RunDirectory(folder)
+    resumed.prepare(config, resume=True)
+    assert resumed.configuration() == config
 
 
 def test_wandb_keeps_a_run_offline(tmp_path, monkeypatch):
