@@ -53,7 +53,7 @@ class Hub:
     """Passes packets from the source's thread to the threads of all connections.
 
     Attributes:
-        wanted: the worker that a browser has asked to see, until the source has turned to it.
+        wanted: the worker that a browser has asked to see, until the source has looked whether it lives.
     """
 
     def __init__(self) -> None:

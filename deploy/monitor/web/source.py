@@ -112,9 +112,10 @@ class Source:
 
     def _choose(self) -> None:
         """Take the worker that a browser wants to see; else keep one that is alive, or take the first."""
-        if (wanted := self._hub.wanted) in self._living and wanted is not None:
-            self._wanted, self._hub.wanted = wanted, None
-            name: str | None = wanted
+        name: str | None
+        wanted, self._hub.wanted = self._hub.wanted, None
+        if wanted is not None and wanted in self._living:
+            self._wanted, name = wanted, wanted
         elif self.worker in self._living:
             return
         else:

@@ -76,14 +76,14 @@ function tellState() {
   else say("watching", "good");
 }
 
-// The workers among which one can choose.
+// The workers among which one can choose; none is marked while the chosen one is gone.
 function offer(workers, chosen) {
   const select = by("worker");
-  by("workers").hidden = workers.length < 2;
-  if (workers.join() !== [...select.options].map((option) => option.value).join()) {
-    select.replaceChildren(...workers.map((name) => new Option(name, name)));
-  }
-  if (document.activeElement !== select && chosen) select.value = chosen;
+  const before = [...select.options].map((option) => option.value);
+  const changed = workers.join() !== before.join();
+  by("workers").hidden = workers.every((name) => name === chosen);
+  if (changed) select.replaceChildren(...workers.map((name) => new Option(name, name)));
+  if (changed || document.activeElement !== select) select.value = chosen ?? "";
 }
 
 function writeNumbers(at) {

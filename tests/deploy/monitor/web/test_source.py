@@ -145,6 +145,9 @@ def test_a_browser_chooses_among_the_workers(scene):
     assert (state["workers"], state["worker"]) == (["9", "w", "10"], "9")
     hub.wanted = "nobody"
     assert tend(times=3)["worker"] == "9"
+    bus.live("rollout", "nobody")
+    assert tend(times=3)["worker"] == "9"  # it was not there when it was asked for
+    bus.live("rollout", "nobody", present=False)
     hub.wanted = "w"
     assert tend(times=3)["worker"] == "w"
     assert bus.asked == [f"eia-sec/v5/{RUN}/watch/9"]  # which may stop now

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from eia_sec.deploy.monitor.web import packets
+from eia_sec.deploy.monitor.web.hub import Hub
+from eia_sec.deploy.monitor.web.server import WebServer
 from eia_sec.rollout.rendering.palette import AGE_STOPS, SOIL_STOPS, rgb
 from eia_sec.rollout.sim.layout import make_layout
 from research.pages.pictures import serving
@@ -187,6 +190,39 @@ def test_the_page_shows_any_environment():
         told = [float(text.replace("\N{MINUS SIGN}", "-")) for text in cells[3].split(", ")]
         assert told == pytest.approx(frame["action"][:2], abs=0.0051)
         assert complaints == []
+
+
+MENU = """() => { const menu = document.getElementById('worker');
+return [menu.checkVisibility(), [...menu.options].map((option) => option.value), menu.value] }"""
+"""Whether the menu of workers is visible, whom it offers, and whom it marks."""
+
+
+def test_one_chooses_another_worker_once_the_chosen_one_is_gone():
+    """The menu hides only where there is no other, and marks the worker that is shown, also while it has the focus."""
+    hub = Hub()
+    with WebServer(hub, "127.0.0.1", 0) as web, playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{web.port}/")
+        until(lambda: hub.seats == 1, "the stream")
+        for workers, chosen, visible, marked in (
+            (["a", "b"], "b", True, "b"),
+            (["a"], "b", True, ""),
+            (["a", "b"], "b", True, "b"),
+            (["b"], "b", False, "b"),
+            ([], "b", False, ""),
+            (["a", "b", "c"], "c", True, "c"),
+        ):
+            hub.report(packets.state("", {"wrong": False, "worker": chosen, "workers": workers}))
+            until(lambda wanted=workers: page.evaluate(MENU)[1] == wanted, "the menu")
+            assert page.evaluate(MENU) == [visible, workers, marked]
+            if visible:
+                page.focus("#worker")
+        hub.report(packets.state("", {"wrong": False, "worker": "b", "workers": ["a"]}))
+        until(lambda: page.evaluate(MENU)[1] == ["a"], "the menu")
+        page.select_option("#worker", "a")
+        until(lambda: hub.wanted == "a", "the choice")
+        browser.close()
 
 
 def test_a_page_that_falls_far_behind_jumps_to_the_newest_episode():
