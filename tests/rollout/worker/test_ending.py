@@ -103,6 +103,7 @@ def a_collecting_worker(monkeypatch, cuts):
     worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
     worker._config, worker._arguments = RunConfig(), RunConfig().env.arguments
     worker._gate = SimpleNamespace(chunk_steps=NO_LIMIT)
+    worker._view_service = SimpleNamespace(poll=lambda *_: None)
     worker._whole = "" if cuts else "chunks are whole"
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
