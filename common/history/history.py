@@ -6,10 +6,11 @@ One JSON array per line, the first of which is ["history", FORMAT]; then
     ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
     ["end"]                                              the process ended normally
     ["timeout"]                                          a call of its environment took too long, and it was ended
+    ["drawing", true]                                    its environment draws from now on; false: no more
     [verdict, worker, incarnation, first, last, steps, produced, flown]
     ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
-The fifth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
+The sixth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
 `produced` and `flown` are the worker's counts including the last of them (see
 `eia_sec.common.protocol.messages.ChunkMessage`).
 
@@ -73,6 +74,13 @@ class End:
 @dataclass(frozen=True)
 class Timeout:
     """The process was ended because a call of its environment took longer than `env.step_timeout`."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Code of the process's environment draws pictures from now on, or does no more."""
+
+    begins: bool
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,7 @@ class Summary:
         return replace(self, last=max(self.last, other.last), **added)
 
 
-Record = Start | Resume | End | Timeout | Entry | Summary | Unreadable
+Record = Start | Resume | End | Timeout | Drawing | Entry | Summary | Unreadable
 
 
 def parse(line: str) -> Record:
@@ -153,10 +161,10 @@ def parse(line: str) -> Record:
                 return Start(_name(role), _name(name), _whole(incarnation)[0])
             case ["resume", dict(workers)]:
                 return Resume({_name(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
-            case ["end"]:
-                return End()
-            case ["timeout"]:
-                return Timeout()
+            case ["end" | "timeout" as word]:
+                return End() if word == "end" else Timeout()
+            case ["drawing", bool(begins)]:
+                return Drawing(begins)
             case ["sum", str(worker), *numbers] if len(numbers) == len(fields(Summary)) - 1:
                 return Summary(_name(worker), *_whole(*numbers))
             case [str(verdict), str(worker), *numbers] if len(numbers) == 6:
@@ -195,6 +203,8 @@ def text(record: Record) -> str:
             parts = ["end"]
         case Timeout():
             parts = ["timeout"]
+        case Drawing():
+            parts = ["drawing", record.begins]
         case Entry():
             parts = list(vars(record).values())
         case Summary():

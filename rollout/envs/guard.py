@@ -49,11 +49,9 @@ SHOWN: Final = 100
 
 LONGEST: Final = 4000
 """Most characters of a user's exception."""
-RENDER: Final = "render()"
-"""What `Running.method` says of a picture that is being drawn."""
 RENDER_SECONDS: Final = 5.0
 """Time that a picture may take before it is given up."""
-MOST_PIXELS: Final = 2**26
+MOST_PIXELS: Final = 2**24
 """Most pixels of a picture."""
 
 By: TypeAlias = Mapping[Any, Any]
@@ -85,11 +83,13 @@ class Running:
         environment: module:name.
         method: what was called, step() for instance.
         since: when, by the monotonic clock.
+        for_watchers: whether it only serves people who watch, see `for_watchers`.
     """
 
     environment: str
     method: str
     since: float
+    for_watchers: bool = False
 
     @property
     def seconds(self) -> float:
@@ -138,6 +138,8 @@ class Guard:
             named = isinstance(agents, Sequence) and not isinstance(agents, str) and len(agents) > 0
             self._require("possible_agents", named, agents, "a list of all agents' names")
             self.possible_agents = list(agents or ())
+            for agent in self.possible_agents:
+                str(agent)  # sentences and pages call it outside of this module
             self._require("possible_agents", _are_unique(self.possible_agents), agents, "each agent's name once")
 
     def observation_space(self, agent: Any) -> spaces.Space[Any]:
@@ -191,7 +193,7 @@ class Guard:
             ContractError: it is no such picture.
             EnvironmentFaultError: the environment raised something, or took longer than RENDER_SECONDS.
         """
-        with calling(self.name, RENDER) as method, _limited(RENDER_SECONDS):
+        with for_watchers(RENDER_SECONDS), calling(self.name, "render()") as method:
             found = self.wrapped.render()
             fits = isinstance(found, np.ndarray) and found.dtype == np.uint8 and found.shape[2:] == (3,)
             fits = fits and 0 < found.size <= 3 * MOST_PIXELS
@@ -319,9 +321,11 @@ def calling(name: str, method: str) -> Iterator[str]:
     ours, handlers = _Settings.now(), _handlers()
     _Exits.watch(name)
     (_theirs.pop() if _theirs else ours._replace(argv=[name])).apply(ours)
-    Guard.running = Running(name, method, time.monotonic())
+    limit = _for_watchers[-1] if _for_watchers else math.inf
+    Guard.running = Running(name, method, time.monotonic(), bool(_for_watchers))
     try:
-        yield method
+        with _limited(limit):
+            yield method
     except (ConfigError, ContractError, EnvironmentOutageError, TerminatedError):
         raise
     except SystemExit as error:
@@ -342,6 +346,20 @@ def calling(name: str, method: str) -> Iterator[str]:
         _restore(handlers)
 
 
+_for_watchers: Final[list[float]] = []
+"""Limits, in seconds, of the blocks of `for_watchers` that this process is in."""
+
+
+@contextmanager
+def for_watchers(seconds: float) -> Iterator[None]:
+    """Interrupt each call of a user's code in this block after some seconds: it only serves people who watch."""
+    _for_watchers.append(seconds)
+    try:
+        yield
+    finally:
+        _for_watchers.pop()
+
+
 class _TooLongError(BaseException):
     """A call was interrupted; no `except Exception` of a user's code holds it up."""
 
@@ -349,7 +367,7 @@ class _TooLongError(BaseException):
 @contextmanager
 def _limited(seconds: float) -> Iterator[None]:
     """Interrupt this block after some seconds; only the main thread can be interrupted, and only in Python code."""
-    if threading.current_thread() is not threading.main_thread():
+    if seconds == math.inf or threading.current_thread() is not threading.main_thread():
         yield
         return
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,14 @@ from eia_sec.common.text import printable
 from eia_sec.common.transitions import EpisodeSummary, observation_type
 from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.episode_infos import EpisodeInfos
-from eia_sec.rollout.envs.guard import Guard
+from eia_sec.rollout.envs.guard import Guard, for_watchers
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
-from eia_sec.rollout.envs.pictures import draws, with_pictures
+from eia_sec.rollout.envs.pictures import MAKING_SECONDS, draws, with_pictures
 
 T = TypeVar("T")
+FAULTS: Final = (ConfigError, ContractError, EnvironmentFaultError)
+"""What is raised when an environment's code does something wrong."""
 
 
 class PettingZooBatch:
@@ -65,6 +67,7 @@ class PettingZooBatch:
         ended: [E] whether the episode is over.
         infos: the numbers in what `step` tells agents besides.
         silence: why an environment that was asked for pictures gives none, a sentence, or empty.
+        note_drawing: called with True before code that draws runs, and with False once none does any more.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -110,18 +113,26 @@ class PettingZooBatch:
         self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.infos = EpisodeInfos(environments, config.name)
         self.silence = ""
-        self._asked_for_pictures: set[int] = set()
+        self.note_drawing: Callable[[bool], None] = lambda drawing: None
+        self._drawing = False
+        self._watched: set[int] = set()
+        self._made_for_pictures: set[int] = set()
         self._returns = np.zeros((environments, self.team.agents))
         self._seeds = [(-1, -1)] * environments
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds."""
         self._renew(index)
-        if index in self._asked_for_pictures:
-            self._renew_with_pictures(index)
+        self._renew_for_watchers(index)
         seed = derive(scenario_seed, episode_seed, "reset") % 2**31
-        observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
-        self._observe(index, "reset()", observations, infos)
+        try:
+            self._begin(index, seed)
+        except FAULTS as error:
+            if index not in self._made_for_pictures:
+                raise
+            self._fall_silent(error)
+            self._renew_for_watchers(index)
+            self._begin(index, seed)
         self._seeds[index] = (scenario_seed, episode_seed)
         self.infos.begin(index)
         self.time[index] = 0
@@ -178,16 +189,22 @@ class PettingZooBatch:
 
     def ask_for_pictures(self, index: int) -> None:
         """Make an environment anew with a render_mode, where it takes one, when its next episode begins."""
-        if not (self.silence or draws(self._environments[index])):
-            self._asked_for_pictures.add(index)
+        self._watched.add(index)
+
+    def ask_for_no_pictures(self, index: int) -> None:
+        """Make an environment anew without a render_mode that it would not have, when its next episode begins."""
+        self._watched.discard(index)
 
     def picture(self, index: int) -> NDArray[np.uint8] | None:
         """Return what an environment shows [height, width, 3], or None where it shows nothing."""
-        if self.silence or not draws(self._environments[index]):
+        if self.silence:
             return None
         try:
+            if not draws(self._environments[index]):
+                return None
+            self._note_drawing(True)
             return self._environments[index].render()
-        except (ContractError, EnvironmentFaultError, EnvironmentOutageError) as error:
+        except (*FAULTS, EnvironmentOutageError) as error:
             self._fall_silent(error)
             return None
 
@@ -219,34 +236,71 @@ class PettingZooBatch:
             )
         self._views[index] = found.views
         self._made[index] = config.arguments
+        self._made_for_pictures.discard(index)
 
-    def _renew_with_pictures(self, index: int) -> None:
+    def _renew_for_watchers(self, index: int) -> None:
+        """Replace an environment by one that can be drawn, if it is asked for pictures, or by a plain one, if not."""
+        wanted, drawn = index in self._watched and not self.silence, index in self._made_for_pictures
+        if drawn and not wanted:
+            made = self._made_anew(index)
+            with for_watchers(MAKING_SECONDS):
+                self._environments[index].close()
+            self._environments[index] = made
+            self._made_for_pictures.discard(index)
+        if wanted and not drawn:
+            self._make_for_pictures(index)
+        if not self._made_for_pictures and (self.silence or not self._watched):
+            self._note_drawing(False)
+
+    def _make_for_pictures(self, index: int) -> None:
         """Replace an environment by one that can be drawn; where there is none, it stays."""
-        self._asked_for_pictures.discard(index)
         try:
-            made = with_pictures(replace(self._config, arguments=self._made[index]), self._attempt, self._agents)
-        except (ConfigError, ContractError, EnvironmentFaultError, EnvironmentOutageError) as error:
+            if draws(self._environments[index]):
+                return
+            made = with_pictures(self._config, self._attempt_for_pictures, self._agents)
+        except (*FAULTS, EnvironmentOutageError) as error:
             self._fall_silent(error)
             return
         self._environments[index].close()
         self._environments[index] = made
+        self._made_for_pictures.add(index)
+
+    def _attempt_for_pictures(self, config: EnvConfig) -> Guard:
+        self._note_drawing(True)
+        return self._attempt(config)
+
+    def _note_drawing(self, drawing: bool) -> None:
+        if drawing != self._drawing:
+            self._drawing = drawing
+            self.note_drawing(drawing)
 
     def _fall_silent(self, error: Exception) -> None:
         """Give no more pictures; training goes on without them."""
         log(f"no pictures of {self._config.name}: {error}")
         self.silence = printable(str(error).rstrip().rpartition("\n")[2])[:MOST_SENTENCE]
 
+    def _begin(self, index: int, seed: int) -> None:
+        observations, infos = self._until_back(index, partial(self._environments[index].reset, seed))
+        self._observe(index, "reset()", observations, infos)
+
     def _step(self, index: int, actions: dict[Any, Any]) -> None:
         environment, present = self._environments[index], set(actions)
         try:
             step = environment.step(actions)
+            # Some environments go on to name agents that have left.
+            here = present | set(environment.agents)
+            seen = {name: part for name, part in step.observations.items() if name in here}
+            self._observe(index, "step()", seen, step.infos)
         except EnvironmentOutageError as error:
-            self._break_off(index, error)
+            self._note_outage(index, error)
+            self._break_off(index)
             return
-        # Some environments go on to name agents that have left.
-        here = present | set(environment.agents)
-        seen = {name: part for name, part in step.observations.items() if name in here}
-        self._observe(index, "step()", seen, step.infos)
+        except FAULTS as error:
+            if index not in self._made_for_pictures:
+                raise
+            self._fall_silent(error)
+            self._break_off(index)
+            return
         self.infos.add(index, step.infos)
         self.time[index] += 1
         self.reward[index] = [step.rewards.get(name, 0.0) for name in self.names]
@@ -256,9 +310,8 @@ class PettingZooBatch:
         self.terminated[index] = over and all(step.terminations.get(name, True) for name in present)
         self.ended[index] = over or self.time[index] >= self._limit
 
-    def _break_off(self, index: int, error: EnvironmentOutageError) -> None:
+    def _break_off(self, index: int) -> None:
         """Truncate the episode with a step that earns nothing and after which the agents see what they saw before."""
-        self._note_outage(index, error)
         self.time[index] += 1
         self.reward[index] = 0.0
         self.terminated[index], self.ended[index] = False, True

@@ -9,17 +9,24 @@ from typing import Any, Final
 
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.errors import ContractError
-from eia_sec.rollout.envs.guard import Guard, factory
+from eia_sec.rollout.envs.guard import RENDER_SECONDS, Guard, calling, factory, for_watchers
 from eia_sec.rollout.envs.pettingzoo_spec import Agents, describe
 
 RENDER_MODE: Final = "render_mode"
 PICTURES: Final = "rgb_array"
 """The mode in which `render()` returns a picture."""
+MAKING_SECONDS: Final = 20.0
+"""Time that each call may take with which an environment is made for pictures."""
 
 
 def draws(environment: Guard) -> bool:
-    """Return whether an environment was made to return pictures."""
-    return getattr(environment.wrapped, RENDER_MODE, None) == PICTURES
+    """Return whether an environment was made to return pictures.
+
+    Raises:
+        EnvironmentFaultError: it raised something when it was asked.
+    """
+    with for_watchers(RENDER_SECONDS), calling(environment.name, RENDER_MODE):
+        return bool(getattr(environment.wrapped, RENDER_MODE, None) == PICTURES)
 
 
 def with_pictures(config: EnvConfig, attempt: Callable[[EnvConfig], Guard], like: Agents) -> Guard:
@@ -32,7 +39,7 @@ def with_pictures(config: EnvConfig, attempt: Callable[[EnvConfig], Guard], like
 
     Raises:
         ContractError: it takes no render_mode, does not heed it, or has other agents with it.
-        ConfigError, EnvironmentFaultError, EnvironmentOutageError: it cannot be made with one.
+        ConfigError, EnvironmentFaultError, EnvironmentOutageError: it cannot be made with one, or not in time.
     """
     if config.served:
         raise ContractError(f"{config.name}: environments that others serve send no pictures.")
@@ -41,7 +48,7 @@ def with_pictures(config: EnvConfig, attempt: Callable[[EnvConfig], Guard], like
     if not _takes(factory(config.name), RENDER_MODE):
         raise ContractError(f"{config.name} takes no {RENDER_MODE}.")
     keywords = {**config.keywords(), RENDER_MODE: PICTURES}
-    with ExitStack() as rejected:
+    with for_watchers(MAKING_SECONDS), ExitStack() as rejected:
         made = rejected.enter_context(closing(attempt(replace(config, arguments=json.dumps(keywords)))))
         if not draws(made):
             raise ContractError(f"{config.name} does not heed {RENDER_MODE}={PICTURES!r}.")

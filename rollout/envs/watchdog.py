@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from typing import Final, NoReturn
 
 from eia_sec.common.log import log
-from eia_sec.rollout.envs.guard import RENDER, Guard, end_process
+from eia_sec.rollout.envs.guard import Guard, end_process
 
 PERIOD_SECONDS: Final = 1.0
 ALARM_SECONDS: Final = (10, 60, 600, 3600)
@@ -17,7 +17,7 @@ ALARM_SECONDS: Final = (10, 60, 600, 3600)
 STUCK_SECONDS: Final = 10.0
 """Time that a call may take once the process should end; its supervisor kills it after 8 s, if there is one."""
 PICTURE_SECONDS: Final = 30.0
-"""Time after which a picture ends the process that nothing could interrupt, whatever its limit: nothing is worth it."""
+"""Time after which a call for people who watch, which nothing could interrupt, ends the process whatever its limit."""
 
 
 class Watchdog:
@@ -61,7 +61,7 @@ class Watchdog:
                 continue
             self.speak()
             told = f"{running.environment} has been in {running.method} for {running.seconds:.0f} s"
-            if running.method == RENDER and running.seconds > PICTURE_SECONDS:
+            if running.for_watchers and running.seconds > PICTURE_SECONDS:
                 self.timed_out()
                 _leave(f"{told}, for somebody who watches; this process ends.")
             if 0.0 < self._limit < running.seconds:

@@ -24,7 +24,7 @@ SHARE: Final = 0.1
 HELD_BYTES: Final = 32 * 2**20
 """Most bytes of pictures held before they are taken; further steps have none."""
 TIMED: Final = 5
-"""Pictures of which the quickest tells what one costs: the first may load a library, and others may be interrupted."""
+"""Newest pictures whose mean tells what one costs; the first of all is not counted, because it may load a library."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,11 @@ class EnvironmentProbe(Probe[_Frame, StepsMessage]):
         if not self._forbidden:
             self._batch.ask_for_pictures(self.index)
 
+    def close(self) -> None:
+        """Stop recording frames, and let the environment be a plain one again from its next episode on."""
+        super().close()
+        self._batch.ask_for_no_pictures(self.index)
+
     def take(self, skipped: int, noise_std: float, uniform: bool) -> list[StepsMessage]:
         """Return the frames as messages, see `Probe.take`."""
         self._held = 0
@@ -96,7 +101,7 @@ class EnvironmentProbe(Probe[_Frame, StepsMessage]):
     def _picture(self) -> bytes:
         """Return a picture of the state as a PNG file, or nothing where none is due."""
         self._undrawn += 1
-        cost = min(self._seconds, default=0.0)
+        cost = sum(self._seconds) / max(1, len(self._seconds))
         if self._undrawn < math.ceil(cost * self._pace / SHARE) or self._held + MOST_PICTURE > HELD_BYTES:
             return b""
         began = time.perf_counter()
@@ -104,7 +109,8 @@ class EnvironmentProbe(Probe[_Frame, StepsMessage]):
         if found is None:
             return b""
         file = _png(found)
-        self._seconds.append(time.perf_counter() - began)
+        if self.pictures:
+            self._seconds.append(time.perf_counter() - began)
         self._undrawn = 0
         self._held += len(file)
         self.pictures += 1

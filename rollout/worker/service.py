@@ -14,6 +14,7 @@ When something goes wrong:
 
 import math
 import threading
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,7 @@ from eia_sec.common.clock import monotonic
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.run import RunConfig
 from eia_sec.common.errors import CancelledError, EiaSecError, EnvironmentFaultError, UsageError
-from eia_sec.common.history.history import History, Start, Timeout
+from eia_sec.common.history.history import Drawing, End, History, Record, Start, Timeout
 from eia_sec.common.incarnation import new_incarnation, seconds_ahead
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, in_thread, run
@@ -157,8 +158,9 @@ class Worker:
         self._evaluations = EvaluationService(
             control, config, options.run, name, self._learner.store, self._late_for_evaluations
         )
-        ended = "an earlier start of this worker was ended in a call of its environment" if self._timeouts else ""
-        self._view_service = ViewService(control, options.run, name, start, collector, answer.toml, ended)
+        self._view_service = ViewService(
+            control, options.run, name, start, collector, answer.toml, _silence(self.history.before), self.note_drawing
+        )
         self._acting = (0, *self._exploration())
         self._times, self._reporting = _Times(), threading.Lock()
         log(f"worker {name} collects for run {options.run} in {config.rollout.environments} environments.")
@@ -298,6 +300,10 @@ class Worker:
         self._timeouts += 1
         self.report()
 
+    def note_drawing(self, drawing: bool) -> None:
+        """Record that the environment begins or ceases to draw, because that may end this process without a word."""
+        self.history.add(Drawing(drawing))
+
     def _metrics(self) -> dict[str, Any]:
         times, sender, learner = self._times, self.sender, self._learner
         return {
@@ -364,6 +370,20 @@ def _why_whole(config: RunConfig, *, lockstep: bool) -> str:
 def _timeouts(history: History) -> int:
     """Return how many earlier starts were ended because of `env.step_timeout`."""
     return sum(isinstance(record, Timeout) for record in history.before)
+
+
+def _silence(before: Sequence[Record]) -> str:
+    """Return why no pictures are to be drawn: an earlier start drew some when it ended without a word; or nothing."""
+    drawing = False
+    for record in before:
+        match record:
+            case Drawing(begins):
+                drawing = begins
+            case End():
+                drawing = False
+            case Start() if drawing:
+                break
+    return "an earlier start of this worker ended without a word while it drew pictures" if drawing else ""
 
 
 def _clock_alarm(newest_incarnation: int) -> str:

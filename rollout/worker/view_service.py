@@ -47,6 +47,7 @@ class ViewService:
         collector: the collector whose environments are shown.
         toml: the run's configuration.
         silence: why no environment's code is to draw pictures, a sentence, or empty.
+        note_drawing: see `eia_sec.rollout.envs.pettingzoo_batch.PettingZooBatch`.
         clock: returns seconds.
 
     Attributes:
@@ -64,13 +65,14 @@ class ViewService:
         collector: Collector,
         toml: str,
         silence: str = "",
+        note_drawing: Callable[[bool], None] = lambda drawing: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY, newest=True)
         self._publisher = bus.publish(keys.VIEW.key(run, worker=worker), keys.VIEW.encoding)
         self._sender = ("rollout", worker, incarnation)
         self._collector, self._clock = collector, clock
-        self._probe, self._terms = _probe(collector.environments, toml, silence)
+        self._probe, self._terms = _probe(collector.environments, toml, silence, note_drawing)
         self._until: dict[str, float] = {}
         self._sequence = self.shown = self.skipped = self.refused = 0
         self._flown = self._seen = 0
@@ -170,7 +172,9 @@ class ViewService:
         return self._collector.simulated // len(self._collector.environments.time)
 
 
-def _probe(environments: Environments, toml: str, silence: str) -> tuple[Probe[Any, Any], bytes]:
+def _probe(
+    environments: Environments, toml: str, silence: str, note_drawing: Callable[[bool], None]
+) -> tuple[Probe[Any, Any], bytes]:
     """Return what records a worker's first environment, and the terms of watching it."""
     terms = WatchTerms(toml, (), LEASE_SECONDS, STEPS_PER_SECOND)
     if isinstance(environments, FarmBatch):
@@ -180,6 +184,7 @@ def _probe(environments: Environments, toml: str, silence: str) -> tuple[Probe[A
 
     if not isinstance(environments, PettingZooBatch):
         raise TypeError(f"nothing records a {type(environments).__name__}.")
+    environments.note_drawing = note_drawing
     names = tuple(printable(str(name))[:MOST_AGENT_NAME] for name in environments.names)
     probe = EnvironmentProbe(environments, 0, STEPS_PER_SECOND, silence)
     return probe, replace(terms, agents=names, team=environments.team.to_dict()).encode()

@@ -6,7 +6,19 @@ from typing import Any
 import pytest
 
 from eia_sec.common.history import history
-from eia_sec.common.history.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
+from eia_sec.common.history.history import (
+    Drawing,
+    End,
+    Entry,
+    History,
+    Resume,
+    Start,
+    Timeout,
+    Unreadable,
+    parse,
+    read,
+    text,
+)
 
 
 def chunk(number: int, verdict: str = "accepted", steps: int = 10) -> Entry:
@@ -15,7 +27,15 @@ def chunk(number: int, verdict: str = "accepted", steps: int = 10) -> Entry:
 
 def test_every_record_comes_back():
     """A record and the record of its line are equal."""
-    for record in (Start("rollout", "w", 3), Resume({"w": (3, 7)}), End(), chunk(4)):
+    for record in (
+        Start("rollout", "w", 3),
+        Resume({"w": (3, 7)}),
+        End(),
+        Timeout(),
+        Drawing(True),
+        Drawing(False),
+        chunk(4),
+    ):
         assert parse(text(record)) == record
 
 
@@ -34,6 +54,8 @@ def test_every_record_comes_back():
         '["resume",{"../w":[1,1]}]',
         '["start","rollout","a\\u001b[2J",1]',
         '["made","a b",1,1,1,1,1,1]',
+        '["drawing",1]',
+        '["ended"]',
     ],
 )
 def test_what_no_process_writes_is_no_record(line):

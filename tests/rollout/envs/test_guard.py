@@ -1,5 +1,6 @@
 """Whatever a user's environment returns, raises or sets, it is named, and the process goes on."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -217,3 +218,19 @@ def test_the_running_call_is_known():
         assert guard.Guard.running is not None
         assert (guard.Guard.running.method, guard.Guard.running.seconds < 5.0) == ("step()", True)
     assert guard.Guard.running is None
+
+
+def test_a_name_without_a_text_is_the_users_fault():
+    """What sentences and pages call every agent is asked for where the user's code is guarded."""
+
+    class Mute(str):
+        def __str__(self):
+            raise ValueError("no text")
+
+    def make():
+        environment = importlib.import_module("toy_env").Relay()
+        environment.possible_agents = [Mute("runner_0")]
+        return environment
+
+    with pytest.raises(EnvironmentFaultError, match=r"make\(\) raised ValueError: no text$"):
+        guard.Guard("a:make", make, {})

@@ -18,6 +18,12 @@ class Drawn(Relay):
     def __init__(self, render_mode=None, how="", height=6, width=9, seconds=0.0, leave=3, stay=5):
         if how == "making" and render_mode:
             raise RuntimeError("no display")
+        while how == "waits" and render_mode:
+            time.sleep(60)
+        if how == "unbending" and render_mode:
+            self._resist()
+        if how == "aborts" and render_mode:
+            os.abort()
         self.render_mode = "human" if how == "deaf" else render_mode
         self.how, self.size, self.seconds = how, (height, width), seconds
         super().__init__(leave, stay)
@@ -29,6 +35,17 @@ class Drawn(Relay):
             return spaces.Box(np.array([0.0, -1.0]), np.array([1.0, 1.0]), dtype=np.float64)
         return super().action_space(agent)
 
+    def reset(self, seed=None, options=None):
+        if self.how == "reset" and self.render_mode:
+            raise RuntimeError("No available video device")
+        return super().reset(seed, options)
+
+    def step(self, actions):
+        found = super().step(actions)
+        if self.how == "step" and self.render_mode and self.step_count == 2:
+            raise RuntimeError("No available video device")
+        return found
+
     def render(self):
         time.sleep(self.seconds)
         if self.how == "raises":
@@ -39,11 +56,27 @@ class Drawn(Relay):
             while True:
                 with suppress(Exception):
                     time.sleep(60)
-        if self.how == "stubborn":  # as code in C that no signal interrupts
-            while True:
-                with suppress(BaseException):
-                    time.sleep(60)
+        if self.how == "stubborn":
+            self._resist()
         return np.full((*self.size, 3), self.step_count, np.uint8)
+
+    def _resist(self):
+        """Go on as code in C that no signal interrupts."""
+        while True:
+            with suppress(BaseException):
+                time.sleep(60)
+
+
+class Touchy(Drawn):
+    """Raises when it is asked for its mode."""
+
+    @property
+    def render_mode(self):
+        raise RuntimeError("no mode")
+
+    @render_mode.setter
+    def render_mode(self, mode):
+        self.mode = mode
 
 
 def any_keywords(**keywords):
