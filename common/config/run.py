@@ -32,7 +32,7 @@ class RolloutConfig:
     environments: int = 16
     """Environments of one worker, stepped as one batch."""
     chunk_steps: int = 500
-    """Steps of each environment in one chunk of transitions; workers that share an iteration send shorter ones."""
+    """Steps of each environment in one chunk of transitions. Workers that share an iteration may send shorter ones."""
     spool_chunks: int = 2
     """Unacknowledged chunks that a worker holds before it stops simulating."""
     train_farms: int = 20

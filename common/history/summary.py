@@ -91,6 +91,10 @@ class _Totals:
 
     def roll_back(self, resume: Resume) -> None:
         """Count accepted chunks that a checkpoint does not hold as lost; a later resume may be from an older one."""
+        for worker, by_start in self._sums.items():
+            for start, total in by_start.items():
+                if start >= resume.workers.get(worker, (0, 0))[0]:  # the learner writes it again, if it comes to that
+                    by_start[start] = replace(total, undelivered_steps=0)
         accepted, self._accepted = self._accepted, []
         for entry in accepted:
             for part, held in _split(entry, resume.workers.get(entry.worker, (0, 0))):

@@ -4,9 +4,9 @@ The learner refuses other chunks. Workers check their own by the same rules befo
 refused for ever: a worker that cannot make a valid one ends and says why.
 
 Every worker simulates the configured number of environments, and a chunk holds equally many steps of each:
-`chunk_steps`, or fewer where the worker was interrupted. Networks with memory learn from whole sequences of equally
-many steps, so their chunks are never shorter. So the steps that a worker's start has produced follow from the chunks
-before, and are bounded where some of these are missing.
+`chunk_steps`, or fewer where the worker was interrupted or asked for a shorter one. Networks with memory learn from
+whole sequences of equally many steps, so their chunks are never shorter. So the steps that a worker's start has
+produced follow from the chunks before, and are bounded where some of these are missing.
 
 Only the parameter version, and the values of actors' states, cannot be checked. `Receiver` clamps a future version to
 the newest published one and trusts an older one; docs/reference/security.md describes what a false one can do.

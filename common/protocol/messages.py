@@ -79,7 +79,7 @@ class ChunkAck(Message):
         reasons: for each verdict, why the chunk was not accepted, or empty.
         expected: sequence number of the next chunk that the learner accepts from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 for none.
-        window, chunk_steps: as in ProgressMessage, at the time of the answer.
+        window, asked_steps: as in ProgressMessage, at the time of the answer.
     """
 
     KIND = 3
@@ -88,7 +88,7 @@ class ChunkAck(Message):
     expected: int
     required_version: int
     window: int = NO_LIMIT
-    chunk_steps: int = NO_LIMIT
+    asked_steps: int = NO_LIMIT
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class ProgressMessage(Message):
         state: training, draining or finished.
         window: environment steps that a worker may have under way, NO_LIMIT where nothing limits them. A worker that
             has as many waits, because the learner would get what it flew too late (on policy).
-        chunk_steps: environment steps that a worker's next chunk should have, if fewer than the configuration says,
+        asked_steps: environment steps that a worker's next chunk should have, if fewer than the configuration says,
             because several share an iteration.
         arguments: those that environments have from their next episodes on, a JSON object; empty for the configured
             ones. A learner that resumes has those of its checkpoint.
@@ -151,7 +151,7 @@ class ProgressMessage(Message):
     updates: int
     state: str
     window: int = NO_LIMIT
-    chunk_steps: int = NO_LIMIT
+    asked_steps: int = NO_LIMIT
     arguments: str = ""
     separate_since: int | None = None
     reward_steps: float = 0.0

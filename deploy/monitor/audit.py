@@ -259,6 +259,7 @@ def _roll_back(received: dict[Source, _Received], resume: Resume) -> None:
     for (worker, incarnation), part in received.items():
         held = resume.workers.get(worker, (0, 0))
         if incarnation >= held[0]:
+            part.undelivered = 0  # the resumed learner does not know of the newer start yet
             kept = held[1] - 1 if incarnation == held[0] else 0
             for first, last, (fate, steps) in part.fate.within(kept + 1, part.fate.last):
                 if fate == "accepted":

@@ -16,9 +16,11 @@ import zenoh
 def decode(payload, schema):
     """Return the name of the message in a frame, and its fields; raise ValueError when it does not fit the schema."""
     header_size, body_size = int.from_bytes(payload[8:12], "little"), int.from_bytes(payload[12:20], "little")
-    if payload[:4] != b"EIAS" or payload[4] != schema["protocol"] or len(payload) != 24 + header_size + body_size:
+    whole = len(payload) >= 24 and len(payload) == 24 + header_size + body_size
+    names = [name for name, message in schema["messages"].items() if whole and message["kind"] == payload[5]]
+    if not names or payload[:4] != b"EIAS" or payload[4] != schema["protocol"]:
         raise ValueError("this is no whole frame of the schema's protocol")
-    name, message = next((n, m) for n, m in schema["messages"].items() if m["kind"] == payload[5])
+    name, message = names[0], schema["messages"][names[0]]
     header = msgpack.unpackb(payload[24 : 24 + header_size])
     fields, offset = header["fields"], 24 + header_size
     for path, dtype, shape in header["arrays"]:
@@ -52,8 +54,12 @@ def main(endpoint, run, path):
                     print(name, fields, flush=True)
         subscriber = session.declare_subscriber(f"{here}/**")
         for sample in subscriber:
-            name, fields = decode(sample.payload.to_bytes(), schema)
-            print(sample.key_expr, sample.encoding, name, sorted(fields), flush=True)
+            try:
+                name, fields = decode(sample.payload.to_bytes(), schema)
+            except ValueError as error:
+                print(sample.key_expr, error, flush=True)
+            else:
+                print(sample.key_expr, sample.encoding, name, sorted(fields), flush=True)
 
 
 if __name__ == "__main__":

@@ -11,11 +11,12 @@ Every worker that has its answer flies one chunk of c steps. While budget >= 2 c
 without waiting for answers. Below that, a worker flies its next chunk when its answer has come, and answers are held
 back, first come first served, while the chunks that are being flown fill the budget.
 
-Several workers share an iteration, two chunks each: they are asked for chunks of
+Several workers share an iteration: they are asked for chunks of
 
-    c = S / (2 workers)        at most a whole chunk, and at least `least_steps`
+    c = S / workers        at most a whole chunk, and at least `least_steps`
 
-Chunks stay whole where shorter ones teach worse: with memory, and where hindsight pays visits by later ones.
+Shorter chunks teach worse where rewards come late, so they are no shorter than a few horizons of the advantages. They
+stay whole with memory, and where hindsight pays visits by later ones.
 """
 
 import statistics
@@ -47,7 +48,7 @@ class Terms(NamedTuple):
 
     required_version: int = 0
     window: int = NO_LIMIT
-    chunk_steps: int = NO_LIMIT
+    asked_steps: int = NO_LIMIT
 
 
 Reply = Callable[[Terms], None]
@@ -230,12 +231,12 @@ class IterationRoom:
         limits, workers = self._limits, max(self.present, workers)
         if workers < 2 or limits.least_steps is None:
             return limits.chunk_steps
-        return min(limits.chunk_steps, max(limits.least_steps, limits.iteration_steps // (2 * workers)))
+        return min(limits.chunk_steps, max(limits.least_steps, limits.iteration_steps // workers))
 
     def _terms(self, required: int) -> Terms:
         if self._steps is None:
             return Terms()
-        workers = max(self.present, len(self._flying) + len(self._held))
+        workers = len(self._flying) + len(self._held)
         budget, chunk = self._budget(), self._chunk(workers)
         roomy = workers > 0 and budget >= 2 * chunk * workers
         return Terms(required, budget // workers - chunk if roomy else min(1, budget), chunk)

@@ -1,5 +1,6 @@
 """How many chunks the intake holds, and how old their policies may be."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -7,8 +8,9 @@ from eia_sec.common.config import RunConfig
 
 ITERATION_CHUNKS: Final = 64
 """Least queue of a learner that learns on policy; it always holds the chunks of an iteration."""
-LEAST_STEPS: Final = 16
-"""Steps of each environment in the shortest chunk that workers are asked for; advantages end with their chunk."""
+LEAST_HORIZONS: Final = 3.0
+"""Length of the shortest chunk that workers are asked for, in horizons 1 / (1 - gamma lambda). Advantages end with
+their chunk; what follows is left to the value function."""
 DRAINED_CHUNKS: Final = 1024
 """Most chunks that a draining learner takes in; with those of two iterations they bound a checkpoint's size."""
 
@@ -38,7 +40,14 @@ class IntakeLimits:
         if config.learns_on_policy:
             whole, least = config.on_policy.iteration_steps, None
             if not (config.memory_size or any(config.on_policy.hindsight.values())):
-                least = config.rollout.environments * min(LEAST_STEPS, config.rollout.chunk_steps)
+                least = config.rollout.environments * _least_steps(config)
             chunks = max(ITERATION_CHUNKS, -(-whole // (least or chunk)))
             return cls(chunks, config.on_policy.max_lag_versions, whole, chunk, least)
         return cls(config.replay.intake_chunks, config.replay.max_lag_versions or None, chunk_steps=chunk)
+
+
+def _least_steps(config: RunConfig) -> int:
+    """Return the steps of each environment in the shortest chunk that workers are asked for."""
+    algorithm, whole = config.on_policy, config.rollout.chunk_steps
+    decay = algorithm.gae_lambda * max(algorithm.discount, *algorithm.discounts.values(), 0.0)
+    return whole if decay >= 1.0 else min(whole, math.ceil(LEAST_HORIZONS / (1.0 - decay)))

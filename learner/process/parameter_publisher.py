@@ -68,7 +68,7 @@ class ParameterPublisher:
             reward_steps=t.rewards.steps,
             reward_sums=t.rewards.sums if t.rewards.steps else None,
             window=terms.window,
-            chunk_steps=terms.chunk_steps,
+            asked_steps=terms.asked_steps,
             arguments=arguments,
         )
         self._progress.put(message.encode())

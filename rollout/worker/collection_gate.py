@@ -60,9 +60,9 @@ class CollectionGate:
         return None if self.pause_reason or sender.full or self._awaits_learner() else store.actors
 
     @property
-    def chunk_steps(self) -> int:
+    def asked_steps(self) -> int:
         """Environment steps with which a chunk ends, if it is not whole before: several workers share an iteration."""
-        return self._newest.chunk_steps
+        return self._newest.asked_steps
 
     @property
     def _newest(self) -> LearnerLink | Sender:

@@ -45,7 +45,7 @@ class LearnerLink:
         state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
-        window, chunk_steps: environment steps that a worker may have under way, and those of its next chunk at most,
+        window, asked_steps: environment steps that a worker may have under way, and those of its next chunk at most,
             as the learner last published.
         arguments: those that environments should have from their next episodes on; empty for what they have.
         heard_at: time of the learner's newest progress, by the monotonic clock.
@@ -61,7 +61,7 @@ class LearnerLink:
         self.store = PolicyStore(team, config.module)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
-        self.window = self.chunk_steps = NO_LIMIT
+        self.window = self.asked_steps = NO_LIMIT
         self.arguments = ""
         self.heard_at = monotonic()
         self._fence = EpochFence()
@@ -128,7 +128,7 @@ class LearnerLink:
     def _follow(self, message: ProgressMessage) -> None:
         before = self.epoch
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
-        self.window, self.chunk_steps, self.arguments = message.window, message.chunk_steps, message.arguments
+        self.window, self.asked_steps, self.arguments = message.window, message.asked_steps, message.arguments
         self.heard_at = monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)

@@ -79,7 +79,7 @@ class Sender:
         replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
         required_version: parameter version that the learner asks for before the next chunk, 0 for none.
         window: environment steps that may be under way, by the newest answer.
-        chunk_steps: environment steps of the next chunk at most, by that answer.
+        asked_steps: environment steps of the next chunk at most, by that answer.
         answered_at: time of that answer, by the monotonic clock.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
@@ -101,7 +101,7 @@ class Sender:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = self.answered_at = 0.0
         self.left_behind = 0
-        self.window = self.chunk_steps = NO_LIMIT
+        self.window = self.asked_steps = NO_LIMIT
         self.untaken = 0
         self.learner_closed = self.replaced = False
         self._bus, self._team, self._rules, self._patience = bus, team, rules, patience
@@ -234,7 +234,7 @@ class Sender:
         if settled:
             # First: with an empty spool, or with the window, the worker may collect.
             self.required_version = ack.required_version
-        self.window, self.chunk_steps, self.answered_at = ack.window, ack.chunk_steps, monotonic()
+        self.window, self.asked_steps, self.answered_at = ack.window, ack.asked_steps, monotonic()
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason)
         return len(settled) >= len(batch)

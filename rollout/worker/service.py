@@ -265,7 +265,7 @@ class Worker:
             return self._seconds_left() > DELIVER_SECONDS
         if due:
             self._learner.poll()
-        asked_for = self._collector.simulated - self._collector.environment_steps >= self._gate.chunk_steps
+        asked_for = self._collector.simulated - self._collector.environment_steps >= self._gate.asked_steps
         return not (asked_for or self._stop) and self._learner.state in COLLECTING
 
     def _exploration(self) -> tuple[float, bool]:

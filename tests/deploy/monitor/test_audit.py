@@ -134,6 +134,14 @@ def test_steps_of_a_replaced_start_are_lost_once(tmp_path, remembers, resumed):
     assert found.lost_with == ({"worker": 20} if remembers else {"unknown": 20})
 
 
+def test_a_start_that_delivers_to_a_resumed_learner_after_all_has_lost_nothing(tmp_path):
+    """A checkpoint from before the newer start does not know that the earlier one was replaced."""
+    undelivered = Entry("undelivered", "a", 1, 3, 3, 20, 40, 40)
+    found = write(tmp_path, [("accepted", 1, 2, 10), undelivered, Resume({"a": (1, 3)}), ("accepted", 3, 4, 10)])
+    assert found.clean, found.unexplained
+    assert (found.steps["accepted"], found.steps["lost"]) == (40, 0)
+
+
 @pytest.mark.parametrize("late", [True, False])
 def test_the_ledger_is_held_against_a_whole_history_only(tmp_path, late):
     """A ledger of the whole run says more than a history that begins with a checkpoint, and that is no defect."""

@@ -177,10 +177,10 @@ def test_nothing_is_flown_for_nothing_and_nobody_waits_longer_than_he_must(worke
 
 
 @pytest.mark.parametrize("update", [0.1, 1.5])
-@pytest.mark.parametrize("workers", [1, 2, 3, 5, 8, 12, 16])
+@pytest.mark.parametrize("workers", [1, 2, 3, 4, 6])
 def test_however_many_workers_share_an_iteration_none_waits(workers, update):
     """Two whole chunks of slow environments fill an iteration; shorter ones let every worker work."""
-    run = Simulation(workers, chunk=1000, iteration=2000, flight=20.0, update=update, least=128)
+    run = Simulation(workers, chunk=1000, iteration=2000, flight=20.0, update=update, least=400)
     run.run(60.0)
     run.refused = 0
     assert run.run(600.0) >= 0.95 * min(workers * 1000 / 20.0, 2000 / update)
@@ -192,15 +192,18 @@ def test_workers_that_have_not_delivered_yet_share_the_first_iteration():
     limits = IntakeLimits(64, 1, 2000, 1000, 128)
     room = IterationRoom(limits, 1, threading.Lock(), lambda: 0.0)
     room.open(0, 2000, updating=False)
-    for present, asked in ((0, 1000), (1, 1000), (2, 500), (4, 250), (100, 128)):
+    for present, asked in ((0, 1000), (1, 1000), (2, 1000), (4, 500), (100, 128)):
         room.present = present
-        assert room.terms.chunk_steps == asked
+        assert room.terms.asked_steps == asked
 
 
 def test_chunks_stay_whole_where_shorter_ones_teach_worse():
-    """Hindsight pays visits of whole episodes, and networks with memory learn from whole sequences."""
+    """Hindsight pays visits of whole episodes, networks with memory learn whole sequences; advantages look ahead."""
     generic = preset("generic")
-    assert IntakeLimits.of(generic).least_steps == 16 * generic.rollout.environments
+    assert IntakeLimits.of(generic).least_steps == 51 * generic.rollout.environments
+    for seen in ({"gae_lambda": 1.0, "discount": 1.0}, {"gae_lambda": 0.99, "discounts": {"a": 1.0}}):
+        far = replace(generic, algorithm=replace(generic.on_policy, **seen))
+        assert IntakeLimits.of(far).least_steps == 125 * generic.rollout.environments
     memory = replace(generic, algorithm=replace(generic.on_policy, memory="gru", sequence_steps=25))
     assert IntakeLimits.of(memory).least_steps is None
     assert IntakeLimits.of(preset("default")).least_steps is None

@@ -43,6 +43,13 @@ def test_another_program_reads_every_message(message):
         reader.decode(message.encode(), known)
 
 
+@pytest.mark.parametrize("payload", [b"", b"EIAS", b"EIAS\x05\xff" + bytes(18), b"EIAS\x04\x05" + bytes(18), bytes(24)])
+def test_the_reader_says_what_is_no_message(payload):
+    """Bytes that are no frame, of another protocol or of an unknown kind are a ValueError."""
+    with pytest.raises(ValueError, match="no whole frame"):
+        reader.decode(payload, schema())
+
+
 def _plain(value):
     """Return a value as msgpack has it."""
     return [_plain(part) for part in value] if isinstance(value, tuple) else value

@@ -102,8 +102,8 @@ def a_collecting_worker(monkeypatch, cuts):
     worker._times.reported = clock.now
     worker._learner.store, worker._learner.arguments = SimpleNamespace(version=1), ""
     worker._config, worker._arguments = RunConfig(), RunConfig().env.arguments
-    worker._gate = SimpleNamespace(chunk_steps=NO_LIMIT)
-    worker._view_service = SimpleNamespace(poll=lambda *_: None)
+    worker._gate = SimpleNamespace(asked_steps=NO_LIMIT)
+    worker._view_service, worker._acting = Recorded("view_service", calls), (1, 0.0, False)
     worker._whole = "" if cuts else "chunks are whole"
     monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
     worker._collector = SimpleNamespace(simulated=0, environment_steps=0, chunk_steps=1600)
@@ -141,7 +141,7 @@ def test_a_worker_that_ends_delivers_the_chunk_in_progress(monkeypatch, event):
 def test_a_chunk_ends_with_the_steps_that_the_learner_asks_for(monkeypatch, newest, asked, steps_made):
     """The newest word counts, with which a chunk in progress may end; no chunk is longer than configured."""
     worker, steps, calls = a_collecting_worker(monkeypatch, cuts=True)
-    told, other = SimpleNamespace(chunk_steps=asked), SimpleNamespace(chunk_steps=1)
+    told, other = SimpleNamespace(asked_steps=asked), SimpleNamespace(asked_steps=1)
     told.heard_at = told.answered_at = 2.0
     other.heard_at = other.answered_at = 1.0
     sender, learner = (told, other) if newest == "answer" else (other, told)
