@@ -53,7 +53,7 @@ def test_they_learn(tmp_path):
     with laboratory(tmp_path, len(ROLES), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
-        fleet = Hosts(lab, "quick", "episodes = 300")
+        fleet = Hosts(lab, "quick", "episodes = 1200")
         happen(fleet, cut=10.0)
         fleet.until(lambda: fleet.state("learner.learner") == "finished", "the end", 3000.0)
         check(finish(fleet))
