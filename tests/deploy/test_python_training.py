@@ -14,7 +14,7 @@ CONFIG = preset("generic").with_environment("mytask.env:Cover")
 def test_a_learner_that_refuses_is_heard_and_one_that_is_silent_is_asked_again():
     """A refusal is the caller's error and is not repeated; where no answer came, the arguments are sent again."""
     asked, monitor = [], SimpleNamespace(learner_values=lambda: {"arguments": ""})
-    training = _Elsewhere(CONFIG, monitor, asked.append)
+    training = _Elsewhere(CONFIG, (), monitor, asked.append)
     training.set_arguments(size=9)
     training.repeat()
     assert asked == ['{"size": 9}', '{"size": 9}']
@@ -22,7 +22,7 @@ def test_a_learner_that_refuses_is_heard_and_one_that_is_silent_is_asked_again()
     def refuse(arguments):
         raise BusError("no.")
 
-    refused = _Elsewhere(CONFIG, monitor, refuse)
+    refused = _Elsewhere(CONFIG, (), monitor, refuse)
     with pytest.raises(ConfigError, match=r"the learner refused the environment's arguments: no\."):
         refused.set_arguments(size=9)
     refused.repeat()

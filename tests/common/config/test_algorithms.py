@@ -44,7 +44,9 @@ def test_another_algorithm_keeps_what_both_inherit():
     assert switched(eia_sec, "maddpg") == MaddpgConfig(hidden=32, n_step=3)
     matd3 = Matd3Config(others="team", critic_scope="local", actor_delay=3)
     assert switched(matd3, "masac") == MasacConfig(others="team", critic_scope="local")
-    with pytest.raises(ConfigError, match=r"^algorithm.name must be one of eia-sec, maddpg, .*, not 'ddpg'\.$"):
+    with pytest.raises(
+        ConfigError, match=r"^algorithm.name must be one of eia-sec, .*, not 'ddpg'; did you mean maddpg\?$"
+    ):
         switched(eia_sec, "ddpg")
 
 
@@ -147,7 +149,7 @@ LINES = [
     ),
     (
         ["--algorithm", "sec"],
-        f"algorithm.name must be one of {named(AlgorithmConfig)}, not 'sec'.",
+        f"algorithm.name must be one of {named(AlgorithmConfig)}, not 'sec'; did you mean eia-sec?",
     ),
 ]
 
