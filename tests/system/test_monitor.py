@@ -73,7 +73,7 @@ def test_the_monitor_shows_fleet_ledger_curves_and_imitation(watched: Processes)
             event = now["imitation"]["newest"][-1]
             assert 0 < event["rate"] < 1
             assert [elite[0] for elite in event["elites"]] == ["c", "m", "d"]
-            assert [series["name"] for series in now["reward"]] == ["mean", "c", "m", "d"]
+            assert [series["name"] for series in now["reward"]] == ["mean", "communication", "monitoring", "collection"]
             process.send_signal(signal.SIGINT)
             assert process.wait(SECONDS) == 0
         finally:
