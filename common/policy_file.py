@@ -30,6 +30,9 @@ from eia_sec.common.gru import Memory, checked_memory
 from eia_sec.common.team import TeamSpec
 
 FORMAT: Final = "eia-sec policy 1"
+POLICY: Final = "policy.safetensors"
+UNTRAINED: Final = "untrained.safetensors"
+"""In a run directory, the newest actors and those with which the run began."""
 MAX_FILE_BYTES: Final = 256 * 2**20
 MAX_HEADER_BYTES: Final = 2**20
 MAX_HIDDEN: Final = 65_536
@@ -68,7 +71,7 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
         **({} if actors.module is None else {"network": _described(actors.module)}),
         "digest": _digest(stored),
     }
-    names = [group.name for group in actors.team.groups]
+    names = actors.team.types
     data = save(dict(zip(names, stored, strict=True)), metadata=header)
     if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
         raise PolicyError(f"the description of the policy's team takes more than {MAX_HEADER_BYTES // 2**10} KiB.")

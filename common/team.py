@@ -163,6 +163,11 @@ class TeamSpec:
             raise ConfigError("two types of agent have the same name.")
 
     @cached_property
+    def types(self) -> list[str]:
+        """Names of the types in row order."""
+        return [group.name for group in self.groups]
+
+    @cached_property
     def agents(self) -> int:
         """Number of all agents."""
         return sum(group.count for group in self.groups)

@@ -296,7 +296,7 @@ class Coordinator:
 
     def _report(self) -> None:
         self._reported = monotonic()
-        names = [group.name for group in self._team.groups]
+        names = self._team.types
         found = scores(self._team, self._rewards, self._config.elite) if self._rewards.steps else []
         values = {
             "workers": sorted(self._workers),

@@ -87,7 +87,7 @@ def start_sentence(config: RunConfig, team: TeamSpec, start: StartParameters) ->
 def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
     """Return the name of the policy that each type is to begin as, of those that are not to begin fresh."""
     named = {kind: name for kind, name in _named(config).items() if name}
-    types = [group.name for group in team.groups]
+    types = team.types
     if set(named) == {ALL}:
         return dict.fromkeys(types, named[ALL])
     if unknown := [kind for kind in named if kind not in types]:

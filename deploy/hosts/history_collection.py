@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import IO, Final
 
 from eia_sec.common.errors import ConfigError, HostError
+from eia_sec.common.policy_file import POLICY
 from eia_sec.deploy.hosts import archive
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
 from eia_sec.deploy.hosts.remote import Link, everywhere, links
-from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
+from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, METRICS
 
 OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
 """Files that the learner's host sends besides its workers' histories."""

@@ -11,18 +11,16 @@ from typing import IO
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import differences, method_of, read_saved, to_toml
 from eia_sec.common.errors import EiaSecError, RunDirError
+from eia_sec.common.policy_file import POLICY
 from eia_sec.common.team import TeamSpec, described
 from eia_sec.deploy.local.file_ends import last_lines
 
 CONFIG = "config.toml"
 TEAM = "team.json"
-TRAIN_LOCK = "train.lock"
 """The layout of the team that the run trains."""
+TRAIN_LOCK = "train.lock"
 MOST_TEAM_BYTES = 2**24
 METRICS = "metrics.jsonl"
-POLICY = "policy.safetensors"
-UNTRAINED = "untrained.safetensors"
-"""The actors with which the run began."""
 LAST_LINE_BYTES = 2**16
 """Bytes at the end of metrics.jsonl that are read to find its last line; the final record is far shorter."""
 HISTORY = "history"

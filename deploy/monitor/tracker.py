@@ -155,7 +155,7 @@ class Tracker:
     def __init__(
         self, client: Client, folder: Path, config: RunConfig, team: TeamSpec, tell: Callable[[str], None]
     ) -> None:
-        self._client, self._types, self._tell = client, [group.name for group in team.groups], tell
+        self._client, self._types, self._tell = client, team.types, tell
         self._name = type(client).__name__.strip("_").lower()
         self.outcome: Outcome = "killed"
         tell(f"connecting to {self._name} ...")

@@ -14,7 +14,7 @@ from eia_sec.common.callbacks import Callback, call
 from eia_sec.common.config import RunConfig
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, ConfigError, RunDirError
-from eia_sec.common.policy_file import load_policy
+from eia_sec.common.policy_file import POLICY, load_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol.metrics import scalars
 from eia_sec.common.steered_progress import SteeredProgress
@@ -22,7 +22,7 @@ from eia_sec.common.transitions import Chunk
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.in_process import WORKER, train_with
-from eia_sec.deploy.local.run_directory import POLICY, TRAIN_LOCK, RunDirectory
+from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory
 from eia_sec.deploy.local.training_processes import ProcessPlan, TrainingProcesses
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.python.run import Run, without_timeout
@@ -48,7 +48,7 @@ class _InProcess(TrainerProgress):
     def __init__(self, config: RunConfig, trainer: Trainer, collector: Collector) -> None:
         super().__init__(config, trainer)
         self._collector = collector
-        self._types = [group.name for group in collector.team.groups]
+        self._types = collector.team.types
         self.curves = Curves(collector.team)
 
     @property
@@ -187,7 +187,7 @@ def train_elsewhere(
         bus = processes.connect(lambda: bool(stop))
         if bus is not None:
             with bus:
-                types = [group.name for group in spec.team.groups]
+                types = spec.team.types
                 progress = _Elsewhere(config, types, RunMonitor(bus, run), partial(processes.set_arguments, bus))
                 _watch(processes, progress, callbacks, stop)
                 if not processes.over and (stop or progress.stopped):
@@ -218,7 +218,7 @@ def _watch(processes: TrainingProcesses, progress: _Elsewhere, callbacks: Sequen
 def _tried(config: RunConfig) -> EnvironmentSpec:
     """Return the run's environment after a trial; raise where it cannot be trained or begun with."""
     spec = environment_spec(without_timeout(config), trial=True, patience=Outages(threading.Event()))
-    config.algorithm.require_types([group.name for group in spec.team.groups])
+    config.algorithm.require_types(spec.team.types)
     start_parameters(config, spec.team)
     return spec
 

@@ -12,10 +12,10 @@ from rich.console import Console
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import farm_of
-from eia_sec.common.policy_file import load_policy
+from eia_sec.common.policy_file import POLICY, UNTRAINED, load_policy
 from eia_sec.common.protocol.metrics import scalars
 from eia_sec.deploy.local.code_options import code_options
-from eia_sec.deploy.local.run_directory import METRICS, POLICY, UNTRAINED, RunDirectory
+from eia_sec.deploy.local.run_directory import METRICS, RunDirectory
 from eia_sec.deploy.progress import part, progress
 from eia_sec.deploy.reports.comparison_tables import comparison_table, counted, scenario_word
 from eia_sec.deploy.reports.film import find_ffmpeg
@@ -130,7 +130,7 @@ def next_commands(path: Path, config: RunConfig) -> list[str]:
 
 def evaluation_scalars(evaluation: Evaluation) -> dict[str, float]:
     """Return an evaluation by the names of scalars."""
-    total, types = evaluation.total, [group.name for group in evaluation.environment.team.groups]
+    total, types = evaluation.total, evaluation.environment.team.types
     named = {"reward": total.reward, "types": total.types, "steps": total.steps}
     return scalars({"evaluation": {**total.metrics, **named}}, types)
 

@@ -9,7 +9,7 @@ from eia_sec.common.config.environment import unusable_arguments
 from eia_sec.common.config.files import digest, method_of
 from eia_sec.common.errors import CheckpointError, PolicyError, RunDirError
 from eia_sec.common.log import log
-from eia_sec.common.policy_file import save_policy
+from eia_sec.common.policy_file import POLICY, save_policy
 from eia_sec.learner.checkpoint import files
 from eia_sec.learner.checkpoint.trainer_state import counter, finite, mapping
 from eia_sec.learner.checkpoint.writer import CheckpointWriter
@@ -19,9 +19,6 @@ from eia_sec.learner.trainer import Trainer
 SLACK_BYTES: Final = 64 * 2**20
 """Upper bound for the bytes of a checkpoint's tensors other than networks and replay."""
 CHECKPOINTS: Final = "checkpoints"
-POLICY: Final = "policy.safetensors"
-UNTRAINED: Final = "untrained.safetensors"
-"""The actors with which a run began; the report at its end compares with them."""
 
 
 class SavableLedger(Protocol):

@@ -26,7 +26,7 @@ class ExperienceFeed:
 
     Args:
         receiver: where chunks arrive.
-        trainer: where they go.
+        trainer: whose parameter version tells how old they are.
         ledger: the ledger of the chunks that are already in the trainer.
         absorb: puts a chunk into the trainer.
 

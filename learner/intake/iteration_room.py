@@ -262,8 +262,8 @@ class IterationRoom:
         if self._steps is None:
             return lambda: reply(Terms())
         self._seen = self._clock()
-        others = len(self._flying.keys() - {worker}) + len(self._held)
-        self._flying[worker] = _Flight(self._version, self._seen, self._chunk(others + 1))
+        workers = len(self._flying) + len(self._held) + 1  # it is in neither: it has landed, and is held no longer
+        self._flying[worker] = _Flight(self._version, self._seen, self._chunk(workers))
         terms = self._terms(max(0, required))
         return lambda: reply(terms)
 

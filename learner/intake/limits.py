@@ -49,5 +49,5 @@ class IntakeLimits:
 def _least_steps(config: RunConfig) -> int:
     """Return the steps of each environment in the shortest chunk that workers are asked for."""
     algorithm, whole = config.on_policy, config.rollout.chunk_steps
-    decay = algorithm.gae_lambda * max(algorithm.discount, *algorithm.discounts.values(), 0.0)
+    decay = algorithm.gae_lambda * max([algorithm.discount, *algorithm.discounts.values()])
     return whole if decay >= 1.0 else min(whole, math.ceil(LEAST_HORIZONS / (1.0 - decay)))

@@ -91,7 +91,7 @@ def _reopened(path: Path) -> TextIO:
 
 def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:
     """Return an imitation event as a record for metrics.jsonl."""
-    names = [group.name for group in team.groups]
+    names = team.types
     return {
         "event": event.event,
         "episode": event.episode,

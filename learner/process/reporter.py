@@ -45,7 +45,7 @@ class Reporter:
     ) -> None:
         self._team, self._trainer, self._presence = environment.team, trainer, presence
         self._labels = environment.labels()
-        self._types = [group.name for group in environment.team.groups]
+        self._types = environment.team.types
         descriptions = {f"charts/{m.name}": f"{m.meaning}, {m.unit}" for m in environment.episode_metrics}
         self._log, self._tensorboard = MetricsLog(directory, elapsed), TensorBoardWriter(directory, descriptions)
         self._tensorboard.configuration(plain_options(trainer.config), (EPISODIC_RETURN, MEAN_REWARD))

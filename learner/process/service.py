@@ -15,6 +15,7 @@ from eia_sec.common.history.history import History
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, in_thread, run
+from eia_sec.common.policy_file import UNTRAINED
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_rules import ChunkRules
@@ -25,7 +26,7 @@ from eia_sec.common.transport.admission import AdmissionSource
 from eia_sec.common.transport.bus import Bus
 from eia_sec.learner.checkpoint.compaction import HistoryCompaction
 from eia_sec.learner.checkpoint.recovery import last_epoch, recover_losses
-from eia_sec.learner.checkpoint.storage import UNTRAINED, RunStorage
+from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.group.process_group import Order, ProcessGroup
 from eia_sec.learner.intake.arrival import Arrival
 from eia_sec.learner.intake.feed import ExperienceFeed

@@ -19,9 +19,9 @@ import tyro
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import UsageError
-from eia_sec.common.policy_file import load_policy, save_policy
+from eia_sec.common.policy_file import POLICY, load_policy, save_policy
 from eia_sec.deploy.exit_codes import run_command
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import policy_of

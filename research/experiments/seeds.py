@@ -21,7 +21,8 @@ import tyro
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import COMMUNICATION
-from eia_sec.deploy.local.run_directory import METRICS, POLICY, RunDirectory
+from eia_sec.common.policy_file import POLICY
+from eia_sec.deploy.local.run_directory import METRICS, RunDirectory
 from eia_sec.deploy.reports.run_report import read_metrics
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import Policy, policy_of

@@ -18,8 +18,9 @@ import tyro
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.config.presets import preset
+from eia_sec.common.policy_file import POLICY
 from eia_sec.deploy.commands.policies.evaluate import parse_farms
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import policy_of

@@ -16,10 +16,10 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import PolicyError, RunDirError, UsageError
 from eia_sec.common.farm import require_farm
-from eia_sec.common.policy_file import load_policy
+from eia_sec.common.policy_file import POLICY, load_policy
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.local.served_environments import reached, when_served
 from eia_sec.deploy.options import NO_FARM, parse, require_env, with_farm_file, with_settings
 from eia_sec.deploy.progress import part, progress

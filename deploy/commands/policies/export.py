@@ -8,9 +8,9 @@ from typing import Final, Literal
 
 from eia_sec.common.errors import RunDirError
 from eia_sec.common.farm import farm_of, farm_team
-from eia_sec.common.policy_file import load_policy
+from eia_sec.common.policy_file import POLICY, load_policy
 from eia_sec.deploy.exit_codes import DONE
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory, own_folder
+from eia_sec.deploy.local.run_directory import RunDirectory, own_folder
 from eia_sec.deploy.options import parse
 from eia_sec.deploy.policies.export import export_onnx, export_safetensors
 from eia_sec.rollout.policies import fitted

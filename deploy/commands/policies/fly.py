@@ -15,7 +15,7 @@ from eia_sec.common.farm import farm_team, require_farm
 from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
 from eia_sec.common.names import check_name
-from eia_sec.common.policy_file import load_policy
+from eia_sec.common.policy_file import POLICY, load_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
@@ -26,7 +26,7 @@ from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
 from eia_sec.deploy.flight.record import FlightRecord
 from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY, OLDEST_POSE
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.options import parse
 from eia_sec.rollout.farm_files.projection import TangentPlane
 from eia_sec.rollout.heuristics.registry import heuristic

@@ -107,7 +107,7 @@ def command(arguments: Sequence[str]) -> int:
     usable_device(options.settings.learner.device)
     environment = _environment(options, endpoint)
     if not resume:
-        options.settings.algorithm.require_types([group.name for group in environment.team.groups])
+        options.settings.algorithm.require_types(environment.team.types)
         start_parameters(options.settings, environment.team)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)

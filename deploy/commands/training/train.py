@@ -201,7 +201,7 @@ def _start(options: TrainArguments, team: TeamSpec) -> StartParameters:
     """Return what a run's actors begin as, after a check of options that name types; nothing for one that resumes."""
     if options.resume:
         return ()
-    options.settings.algorithm.require_types([group.name for group in team.groups])
+    options.settings.algorithm.require_types(team.types)
     return start_parameters(options.settings, team)
 
 

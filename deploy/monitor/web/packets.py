@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import farm_team
-from eia_sec.common.protocol.messages import ViewMessage, WatchTerms
+from eia_sec.common.protocol.messages import StepsMessage, ViewMessage, WatchTerms
 from eia_sec.common.protocol.view_checks import NO_RELAY
 from eia_sec.rollout.rendering.palette import (
     AGE_STOPS,
@@ -131,17 +131,23 @@ def _conditions(farm: FarmConfig) -> dict[str, Any]:
     return found
 
 
-def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int) -> Packet:
-    """Return frames of an episode, with what the seeds determine: sensors, no-fly zones, wind and patches of stress."""
-    fields: dict[str, Any] = {
-        "farm": message.farm,
-        # Seeds have up to 63 bits, but numbers in the browser keep 53.
-        "episode": str(message.episode),
+def course(message: ViewMessage | StepsMessage, version: int) -> dict[str, Any]:
+    """Return what the page is told of the episode in any frames, and of who acts."""
+    return {
+        "episode": str(message.episode),  # seeds have up to 63 bits, but numbers in the browser keep 53
         "first": message.first,
         "skipped": message.skipped,
         "noise_std": message.noise_std,
         "uniform": message.uniform,
         "version": version,
+    }
+
+
+def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int) -> Packet:
+    """Return frames of an episode, with what the seeds determine: sensors, no-fly zones, wind and patches of stress."""
+    fields: dict[str, Any] = {
+        "farm": message.farm,
+        **course(message, version),
         "zones": [zone.tolist() for zone in layout.zones],
     }
     arrays: dict[str, Array] = {

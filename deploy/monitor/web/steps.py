@@ -6,7 +6,7 @@ import numpy as np
 
 from eia_sec.common.protocol.messages import StepsMessage, WatchTerms
 from eia_sec.common.team import TeamSpec
-from eia_sec.deploy.monitor.web.packets import Array, Packet, pack
+from eia_sec.deploy.monitor.web.packets import Array, Packet, course, pack
 from eia_sec.rollout.rendering.palette import PART_COLOURS
 
 
@@ -35,17 +35,7 @@ def scene(run: str, worker: str, environment: str, team: TeamSpec, terms: WatchT
 
 def frames(message: StepsMessage, version: int) -> Packet:
     """Return consecutive steps of an episode; `parts` [F, agents, 1] are the rewards, as farms have parts of theirs."""
-    fields = {
-        "scenario": str(message.scenario),
-        # Seeds have up to 63 bits, but numbers in the browser keep 53.
-        "episode": str(message.episode),
-        "first": message.first,
-        "skipped": message.skipped,
-        "noise_std": message.noise_std,
-        "uniform": message.uniform,
-        "version": version,
-        "silence": message.silence,
-    }
+    fields = {"scenario": str(message.scenario), **course(message, version), "silence": message.silence}
     arrays: dict[str, Array] = {
         "parts": message.reward[:, :, None],
         "action": message.action,

@@ -10,11 +10,11 @@ from matplotlib.image import imread
 
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.errors import EiaSecError, UsageError
-from eia_sec.common.policy_file import save_policy
+from eia_sec.common.policy_file import POLICY, save_policy
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.commands.policies import replay as command
 from eia_sec.deploy.exit_codes import run_command
-from eia_sec.deploy.local.run_directory import POLICY, RunDirectory
+from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.policies.replay import Comparison, paper_pictures, scenes_of
 from eia_sec.deploy.reports import film
 from eia_sec.deploy.reports.film import Film, find_ffmpeg

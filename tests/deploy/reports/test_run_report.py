@@ -14,9 +14,9 @@ from eia_sec.common.config.presets import preset
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import PolicyError, UsageError
 from eia_sec.common.farm import farm_team
-from eia_sec.common.policy_file import save_policy
+from eia_sec.common.policy_file import POLICY, UNTRAINED, save_policy
 from eia_sec.common.team import GroupSpec, TeamSpec
-from eia_sec.deploy.local.run_directory import METRICS, POLICY, UNTRAINED, RunDirectory
+from eia_sec.deploy.local.run_directory import METRICS, RunDirectory
 from eia_sec.deploy.reports import run_report
 from eia_sec.rollout.evaluation import Evaluation, Score
 

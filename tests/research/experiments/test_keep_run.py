@@ -12,8 +12,8 @@ from eia_sec.common.config.files import to_toml
 from eia_sec.common.config.presets import PRESETS, preset
 from eia_sec.common.errors import UsageError
 from eia_sec.common.farm import farm_team
-from eia_sec.common.policy_file import load_policy, save_policy
-from eia_sec.deploy.local.run_directory import METRICS, POLICY
+from eia_sec.common.policy_file import POLICY, load_policy, save_policy
+from eia_sec.deploy.local.run_directory import METRICS
 from eia_sec.learner.on_policy.trainer import OnPolicyTrainer
 from eia_sec.rollout.shipped_policies import SHIPPED
 from research.experiments import keep_run
