@@ -91,17 +91,17 @@ class FarmMap:
                     levels.visit(np.array([number], np.int32), max(0, last - late))
                     self.served += 1
         for _ in range(min(steps, self.farm.config.world.steps - self.steps)):
-            self.farm.follow(self._state(vehicles))
+            self.farm.follow(self._state(vehicles, now))
         row: Float32 = self.farm.observation[0]
         return row
 
-    def _state(self, vehicles: Sequence[Vehicle]) -> TeamState:
+    def _state(self, vehicles: Sequence[Vehicle], now: float | None = None) -> TeamState:
         """Return what is known of the vehicles; those that are silent are where they were last."""
         poses = [vehicle.newest for vehicle in vehicles]
         winds = [pose.wind for pose in poses if pose is not None and pose.wind]
         pairs = list(zip(poses, self._commands.tolist(), strict=True))
         return TeamState(
-            position=np.array([vehicle.place or (0.0, 0.0) for vehicle in vehicles]),
+            position=np.array([vehicle.place_at(now) or (0.0, 0.0) for vehicle in vehicles]),
             velocity=np.array([pose.velocity if pose is not None else (0.0, 0.0) for pose in poses]),
             acceleration=np.array([vehicle.acceleration for vehicle in vehicles]),
             command=np.array([pose.commanded if pose is not None and pose.commanded else sent for pose, sent in pairs]),

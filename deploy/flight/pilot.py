@@ -8,6 +8,7 @@ The policy decides once in each step of the farm, as in training. In the periods
 and the watchdog looks at every vehicle's newest pose.
 """
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -90,8 +91,10 @@ class Pilot:
         self._decider, self.map, self._field, self._options, self._clock = decider, farm_map, field, options, clock
         self.vehicles = {vehicle.name: vehicle for vehicle in vehicles}
         self._team = list(vehicles)
-        world = field.config.world
+        world, dynamics = field.config.world, field.config.dynamics
         self._speed = np.array([world.speed_x_max, world.speed_y_max])
+        tops = np.repeat(dynamics.of_types("speed") if dynamics.inertial else 3 * (math.inf,), world.counts)
+        self._tops: NDArray[np.float64] = tops[:, None]
         self._shares: Float32 = np.full((len(vehicles), 2), np.nan, np.float32)
         self._stale: set[str] = set()
         self._decision, self._begun, self._listening = 0, 0.0, -1.0
@@ -206,7 +209,8 @@ class Pilot:
         if vehicle.reason or pose is None or place is None:
             return self._hover(vehicle)
         share = self._shares[vehicle.row]
-        wanted: NDArray[np.float64] = share.astype(np.float64) * self._speed
+        top = self._tops[vehicle.row]
+        wanted: NDArray[np.float64] = np.clip(share.astype(np.float64) * self._speed, -top, top)
         velocity = inside_border(self._field.config, vehicle.row, wanted, place, OLDEST_POSE + self._options.validity)
         self.map.commanded(vehicle.row, velocity)
         self.decisions += 1

@@ -160,6 +160,18 @@ class Vehicle:
         """The incarnation of the vehicle that told the newest pose; 0 before the first."""
         return self._mark[0]
 
+    def place_at(self, now: float | None) -> tuple[float, float] | None:
+        """Return where the vehicle is by now, m: it has flown on since its pose was measured.
+
+        Args:
+            now: seconds since 1970; None for where it was then.
+        """
+        if now is None or self.place is None or self.newest is None or self.reason or self.place != self.raw:
+            return self.place
+        age = max(0.0, now - self.newest.stamp / 1e6)
+        x, y = (at + age * speed for at, speed in zip(self.place, self.newest.velocity, strict=True))
+        return x, y
+
     def judge(self, now: float, clock: float, field_: Field) -> None:
         """Decide whether the vehicle has to hover in this period, and why.
 

@@ -1,21 +1,24 @@
 """A whole farm flown by simulated multirotors over MAVLink, beside the same policy in the farm's own simulator.
 
     pip install "rotorpy>=3,<4" && pip install "eia-sec[mavlink]"
-    python -m research.benchmarks.airframes --policy lawnmower --steps 100
+    python -m research.benchmarks.airframes --policy lawnmower
 
 Each UAV is one of rotorpy's multirotors with PX4's trajectory generator and velocity controller, see `dynamics`, behind
 the autopilot that the tests of the MAVLink bridge use: it takes set-points over UDP, in Offboard alone. Pilot, links
 and bridges are those of `eia-sec fly` and `eia-sec bridge mavlink`; Zenoh between them is left out, and one clock
-drives all. Set-points pass 8 times a second. The farm's reference simulator judges: it photographs, collects and
-rewards at the places where the multirotors are, and tells their vehicles what they served.
+drives all. The pilot decides 8 times a second; bridges and autopilots turn twice as often, so a set-point is flown 1/16
+s after it was decided. The farm's reference simulator judges: it photographs, collects and rewards at the places where
+the multirotors are, and tells their vehicles what they served.
+
+To step the way apart: `--airframe model` flies the farm's own dynamics in the place of rotorpy, `--bridge none` hands
+set-points over at once, and `--delay` fits the farm's dynamics to a way.
 """
 
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 import tyro
@@ -29,8 +32,8 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
 from eia_sec.deploy.commands.policies.fly import FlyArguments, make_decider
 from eia_sec.deploy.exit_codes import run_command
-from eia_sec.deploy.flight.mavlink import BridgeOptions, MavlinkBridge
-from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.flight.mavlink import CLIMB_GAIN, BridgeOptions, MavlinkBridge
+from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.followed_farm import sensor_numbers
 from eia_sec.rollout.heuristics.farms import make_farms
@@ -45,14 +48,18 @@ from tests.deploy.flight.autopilot import FakeAutopilot, free_port
 
 Array = NDArray[np.float64]
 PERIODS: Final = 8
-"""Periods a second; a power of 2, so that steps begin when the clock says so."""
+"""The pilot's periods a second; a power of 2, so that steps begin when the clock says so."""
+TURNS: Final = 2
+"""Turns of autopilots and bridges in a period."""
 SUBSTEP: Final = 0.025
-"""Step of rotorpy, s."""
+"""About the period of the autopilots' own controllers, s; a turn has a whole number of them."""
 BEFORE: Final = 16
 """Periods before the flight begins, in which set-points stream and the pilot chooses Offboard."""
 GO: Final = 4
 """Periods of these after the pilot's go, in which bridges see it."""
 RUN: Final = "airframes"
+INTEGRATOR: Final = {"method": "RK23", "first_step": 0.0125, "rtol": 1e-2, "atol": 1e-2}
+"""rotorpy's: three times as fast as its default, and 4 mm apart from it after five seconds."""
 
 
 @dataclass(frozen=True)
@@ -65,48 +72,160 @@ class Arguments:
     """The farm's preset."""
     farm: int = 1000
     """Seed of the farm."""
-    steps: int = 100
-    """Steps to fly."""
+    steps: int | None = None
+    """Steps to fly. Default: the whole farm."""
+    airframe: Literal["rotorpy", "model"] = "rotorpy"
+    """rotorpy's multirotors, or the farm's own dynamics without their delay."""
+    bridge: Literal["mavlink", "none"] = "mavlink"
+    """MAVLink over UDP, or none: vehicles obey their links at once."""
+    delay: float | None = None
+    """`farm.dynamics.delay`, for simulator, policy and pilot alike. Default: the preset's."""
 
 
-class Rotor(FakeAutopilot):
-    """The tests' autopilot with a multirotor of rotorpy as its airframe."""
+class Airframe:
+    """A vehicle that flies by the farm's own limits; x is east, y north and z up.
 
-    def __init__(self, port: int, clock: Clock, config: FarmConfig, kind: int, place: Array, height: float) -> None:
-        from rotorpy.vehicles.hummingbird_params import quad_params  # noqa: PLC0415  (the extra of this benchmark)
-        from rotorpy.vehicles.multirotor import Multirotor  # noqa: PLC0415  (the extra of this benchmark)
+    Args:
+        config: the farm.
+        kind: the vehicle's type.
+        place: where it begins, [2] m.
+        height: likewise, m.
+    """
 
-        super().__init__(port, clock, height=height)
-        self._airframe = Multirotor(quad_params, control_abstraction="cmd_acc")
-        hover = np.sqrt(quad_params["mass"] * GRAVITY / 4.0 / quad_params["k_eta"])
+    def __init__(self, config: FarmConfig, kind: int, place: Array, height: float) -> None:
         limits = config.dynamics
         self._most, self._jerk = (np.full(2, limits.of_types(name)[kind]) for name in ("acceleration", "jerk"))
         self._top = limits.of_types("speed")[kind]
-        self._v, self._a, self._sum = np.zeros(2), np.zeros(2), np.zeros(3)
+        self._v, self._a = np.zeros(2), np.zeros(2)
+        self.place, self.velocity = np.array([*place, height]), np.zeros(3)
+
+    def fly(self, wanted: Array, seconds: float) -> None:
+        """Fly towards a velocity [3] m/s for some time."""
+        goal = np.clip(wanted[:2], -self._top, self._top)
+        way, self._v, self._a = glide(self._v, self._a, goal, self._most, self._jerk, seconds)
+        self.velocity = np.append(self._v, wanted[2])
+        self.place = self.place + np.append(way, wanted[2] * seconds)
+
+
+class Rotorcraft(Airframe):
+    """A Hummingbird of rotorpy behind PX4's trajectory generator and velocity controller."""
+
+    def __init__(self, config: FarmConfig, kind: int, place: Array, height: float) -> None:
+        from rotorpy.vehicles.hummingbird_params import quad_params  # noqa: PLC0415  (the extra of this benchmark)
+        from rotorpy.vehicles.multirotor import Multirotor  # noqa: PLC0415  (the extra of this benchmark)
+
+        super().__init__(config, kind, place, height)
+        self._body = Multirotor(quad_params, control_abstraction="cmd_acc", integrator_kwargs=INTEGRATOR)
+        hover = np.sqrt(quad_params["mass"] * GRAVITY / 4.0 / quad_params["k_eta"])
+        self._sum = np.zeros(3)
         self._state: dict[str, Any] = {
-            "x": np.array([*place, height]),
+            "x": self.place,
             "v": np.zeros(3),
             "q": np.array([0.0, 0.0, 0.0, 1.0]),
             "w": np.zeros(3),
             "wind": np.zeros(3),
             "rotor_speeds": np.full(4, hover),
         }
+
+    def fly(self, wanted: Array, seconds: float) -> None:
+        """Fly towards a velocity [3] m/s for some time."""
+        goal = np.clip(wanted[:2], -self._top, self._top)
+        parts = max(1, round(seconds / SUBSTEP))
+        part = seconds / parts
+        for _ in range(parts):
+            _, self._v, self._a = glide(self._v, self._a, goal, self._most, self._jerk, part)
+            error = np.append(self._v, wanted[2]) - self._state["v"]
+            self._sum += error * part
+            wished = np.append(self._a, GRAVITY) + GAIN * error + INTEGRAL * self._sum
+            self._state = self._body.step(self._state, {"cmd_acc": wished}, part)
+        self.place, self.velocity = self._state["x"], self._state["v"]
+
+
+class Autopilot(FakeAutopilot):
+    """The tests' autopilot with an airframe."""
+
+    def __init__(self, port: int, clock: Clock, airframe: Airframe) -> None:
+        super().__init__(port, clock)
+        self._airframe = airframe
         self._show()
 
     def move(self, wanted: list[float], dt: float) -> None:
-        """Fly towards a velocity for some time, north, east and down; rotorpy's x is east, y north and z up."""
-        goal = np.clip([wanted[1], wanted[0]], -self._top, self._top)
-        for _ in range(round(dt / SUBSTEP)):
-            _, self._v, self._a = glide(self._v, self._a, goal, self._most, self._jerk, SUBSTEP)
-            error = np.array([*self._v, -wanted[2]]) - self._state["v"]
-            self._sum += error * SUBSTEP
-            wished = np.append(self._a, GRAVITY) + GAIN * error + INTEGRAL * self._sum
-            self._state = self._airframe.step(self._state, {"cmd_acc": wished}, SUBSTEP)
+        """Fly towards a velocity for some time, north, east and down."""
+        self._airframe.fly(np.array([wanted[1], wanted[0], -wanted[2]]), dt)
         self._show()
 
     def _show(self) -> None:
-        x, v = self._state["x"].tolist(), self._state["v"].tolist()
-        self.place, self.velocity = [x[1], x[0], -x[2]], [v[1], v[0], -v[2]]
+        (x, y, z), (vx, vy, vz) = self._airframe.place.tolist(), self._airframe.velocity.tolist()
+        self.place, self.velocity = [y, x, -z], [vy, vx, -vz]
+
+
+class MavlinkWay:
+    """A vehicle's way over MAVLink: bridge, UDP and autopilot.
+
+    Args:
+        link: the vehicle's link to the pilot.
+        airframe: what flies.
+        clock: of all.
+    """
+
+    def __init__(self, link: VehicleLink, airframe: Airframe, clock: Clock) -> None:
+        port = free_port()
+        self._bridge = MavlinkBridge(link, BridgeOptions(f"udpin:127.0.0.1:{port}", local=(0.0, 0.0)), clock)
+        self.autopilot = Autopilot(port, clock, airframe)
+
+    def fly(self) -> None:
+        """Fly up to now."""
+        self.autopilot.turn()
+
+    def tell(self) -> None:
+        """Tell where the vehicle is, and pass on what has been decided."""
+        self._bridge.turn()
+
+    def obey(self) -> None:
+        """Do nothing: what has been decided waits for the bridge's next turn."""
+
+    def arm(self) -> None:
+        """Do what a pilot does; raise SimulationError where the autopilot refuses Offboard."""
+        self.autopilot.armed = True
+        if not self.autopilot.pilot_sets_mode("OFFBOARD"):
+            raise SimulationError("set-points do not stream, so the autopilot refuses Offboard.")
+
+    def close(self) -> None:
+        """Close both ends."""
+        self._bridge.close()
+        self.autopilot.close()
+
+
+class NoWay:
+    """A vehicle that obeys its link at once, in the place of `MavlinkWay`."""
+
+    def __init__(self, link: VehicleLink, airframe: Airframe, clock: Clock) -> None:
+        self._link, self._airframe, self._clock = link, airframe, clock
+        self._wanted, self._last = np.zeros(3), clock()
+
+    def fly(self) -> None:
+        """Fly up to now."""
+        now = self._clock()
+        self._airframe.fly(self._wanted, now - self._last)
+        self._last = now
+
+    def tell(self) -> None:
+        """Tell where the vehicle is."""
+        x, y, height = self._airframe.place.tolist()
+        vx, vy, _ = self._airframe.velocity.tolist()
+        self._link.publish(Pose((x, y), height, (vx, vy)))
+
+    def obey(self) -> None:
+        """Follow what has been decided, and keep the height as the bridge does."""
+        message = self._link.setpoint()
+        climb = 0.0 if message.hover else float(np.clip(CLIMB_GAIN * (message.height - self._airframe.place[2]), -1, 1))
+        self._wanted = np.array([*message.velocity, climb])
+
+    def arm(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 class Judge(ReferenceFarm):
@@ -121,11 +240,11 @@ class Judge(ReferenceFarm):
     stray = 0.0
     total: Array = np.zeros(1)
 
-    def look_at(self, rotors: "list[Rotor]", action: Array) -> None:
-        """Judge a step that ended with the multirotors where they are; actions are [n, 2]."""
-        self._where = np.array([[r.place[1], r.place[0]] for r in rotors])
-        self._speeds = np.array([[r.velocity[1], r.velocity[0]] for r in rotors])
-        self.stray = max(self.stray, *(abs(-r.place[2] - self.height[u]) for u, r in enumerate(rotors)))
+    def look_at(self, airframes: list[Airframe], action: Array) -> None:
+        """Judge a step that ended with the airframes where they are; actions are [n, 2]."""
+        self._where = np.array([airframe.place[:2] for airframe in airframes])
+        self._speeds = np.array([airframe.velocity[:2] for airframe in airframes])
+        self.stray = max(self.stray, *(abs(a.place[2] - self.height[u]) for u, a in enumerate(airframes)))
         self.visits: dict[int, list[int]] = defaultdict(list)
         self.step(action.astype(np.float32).ravel())
         self.total = self.total + self.reward
@@ -152,40 +271,45 @@ class Judge(ReferenceFarm):
         self._find_directions()
 
 
+def farm_of(arguments: Arguments) -> FarmConfig:
+    """Return the farm that is flown."""
+    config = PRESETS[arguments.preset].farm
+    if arguments.delay is None:
+        return config
+    return replace(config, dynamics=replace(config.dynamics, delay=(arguments.delay,)))
+
+
 def fly(arguments: Arguments) -> dict[str, Any]:
     """Fly through the bridge; return rewards per agent and what was counted."""
-    config, clock, air = PRESETS[arguments.preset].farm, Clock(), Air()
+    config, clock, air = farm_of(arguments), Clock(), Air()
+    steps = config.world.steps if arguments.steps is None else min(arguments.steps, config.world.steps)
     judge = Judge(config, make_layout(config, arguments.farm), episode_seed(arguments.farm, 0))
     numbers = sensor_numbers(config, judge.layout)
     decider = make_decider(FlyArguments(policy=arguments.policy), config)
     pilot = make_pilot(config, decider, seed=arguments.farm, clock=clock)
     names = farm_team(config).agent_names
     fastest = config.world.speed_x_max, config.world.speed_y_max
-    links = {v: VehicleLink(air, RUN, v, v, fastest, clock, clock) for v in names}
-    ports = [free_port() for _ in names]
-    bridges = {
-        v: MavlinkBridge(links[v], BridgeOptions(f"udpin:127.0.0.1:{port}", local=(0.0, 0.0)), clock)
-        for v, port in zip(names, ports, strict=True)
-    }
-    rotors = {
-        v: Rotor(ports[u], clock, config, int(judge.kind[u]), judge.position[u], float(judge.height[u]))
-        for u, v in enumerate(names)
-    }
+    links = [VehicleLink(air, RUN, v, v, fastest, clock, clock) for v in names]
+    made = Rotorcraft if arguments.airframe == "rotorpy" else Airframe
+    airframes = [made(config, int(judge.kind[u]), judge.position[u], float(judge.height[u])) for u in range(len(names))]
+    kind = MavlinkWay if arguments.bridge == "mavlink" else NoWay
+    ways = [kind(link, airframe, clock) for link, airframe in zip(links, airframes, strict=True)]
     incoming = {v: air.subscribe(keys.POSE.key(RUN, vehicle=v), 16) for v in names}
     outgoing = {v: air.publish(keys.SETPOINT.key(RUN, vehicle=v)) for v in names}
     found: dict[str, SetpointMessage] = {}
-    for period in range(BEFORE + PERIODS * arguments.steps + 1):
-        clock.now += 1.0 / PERIODS
-        for rotor in rotors.values():
-            rotor.turn()
-        if period == BEFORE - GO:
-            _arm(rotors.values())
-        elif period > BEFORE and (period - BEFORE) % PERIODS == 0:
-            judge.look_at(list(rotors.values()), np.array([found[v].action for v in names]))
-            for u, items in judge.visits.items():
-                links[names[u]].serve(numbers[items].tolist() if judge.kind[u] == 2 else items)
-        for bridge in bridges.values():
-            bridge.turn()
+    for period in range(BEFORE + PERIODS * steps + 1):
+        for turn in range(1, TURNS + 1):
+            clock.now += 1.0 / PERIODS / TURNS
+            for way in ways:
+                way.fly()
+            if turn == TURNS and period > BEFORE and (period - BEFORE) % PERIODS == 0:
+                judge.look_at(airframes, np.array([found[v].action for v in names]))
+                for u, items in judge.visits.items():
+                    links[u].serve(numbers[items].tolist() if judge.kind[u] == 2 else items)
+            for way in ways:
+                if period == BEFORE - GO and turn == TURNS:
+                    way.arm()
+                way.tell()
         for v, poses in incoming.items():
             begins = v == names[-1]  # the flight, with its first pose
             for sample in poses.drain() if period >= BEFORE or not begins else ():
@@ -193,41 +317,40 @@ def fly(arguments: Arguments) -> dict[str, Any]:
         found = pilot.decide(clock.now)
         for v, message in found.items():
             outgoing[v].put(message.encode(), Envelope("flight", "main", 1, message.period).encode())
-    report = pilot.report()
-    for end in (*bridges.values(), *rotors.values()):
-        end.close()
-    flown = float(judge.total.mean())
-    simulated = simulate(arguments, config)
+        for way in ways:
+            way.obey()
+    for way in ways:
+        way.close()
+    report, simulated = pilot.report(), simulate(arguments, config, steps)
+    autopilots = [way.autopilot for way in ways if isinstance(way, MavlinkWay)]
     return {
         **vars(arguments),
-        "steps flown": pilot.map.steps,
-        "reward over MAVLink": round(flown, 1),
-        "reward in the simulator": round(simulated, 1),
-        "share": round(flown / simulated, 3),
-        "hovers after the beginning": report["hovers"] - len(names) * BEFORE,
-        "left Offboard": sum(rotor.failsafes for rotor in rotors.values()),
-        "set-points that the autopilots refused": sum(len(rotor.rejected) for rotor in rotors.values()),
+        "steps": pilot.map.steps,
+        "reward flown": round(float(judge.total.mean()), 1),
+        "reward in the simulator": round(float(simulated.mean()), 1),
+        "share": round(float(judge.total.mean() / simulated.mean()), 3),
+        "flown, by type": _by_type(judge.total, judge.kind),
+        "in the simulator, by type": _by_type(simulated, judge.kind),
+        "hovers": sum(number for cause, number in report["causes"].items() if cause not in ("missing", "end")),
+        "left Offboard": sum(autopilot.failsafes for autopilot in autopilots),
+        "set-points that the autopilots refused": sum(len(autopilot.rejected) for autopilot in autopilots),
         "set-points that the border limited": report["limited"],
         "height strays, m": round(judge.stray, 2),
     }
 
 
-def _arm(rotors: Iterable[Rotor]) -> None:
-    """Do what a pilot does; raise SimulationError where an autopilot refuses Offboard."""
-    for rotor in rotors:
-        rotor.armed = True
-        if not rotor.pilot_sets_mode("OFFBOARD"):
-            raise SimulationError("set-points do not stream, so the autopilot refuses Offboard.")
+def _by_type(rewards: Array, kind: NDArray[np.int64]) -> list[float]:
+    return [round(float(rewards[kind == number].mean()), 1) for number in range(3)]
 
 
-def simulate(arguments: Arguments, config: FarmConfig) -> float:
-    """Return the reward per agent of the same steps in the farm's own simulator."""
+def simulate(arguments: Arguments, config: FarmConfig, steps: int) -> Array:
+    """Return each agent's reward [n] for the same steps in the farm's own simulator."""
     farms, policy = make_farms(config, 1), policy_of(arguments.policy, config)
     farms.reset(0, arguments.farm, episode_seed(arguments.farm, 0))
     policy.reset(farms, 0)
-    for _ in range(arguments.steps):
+    for _ in range(steps):
         farms.step(policy.act(farms))
-    return float(np.mean(farms.summary(0).reward))
+    return np.array(farms.summary(0).reward, np.float64)
 
 
 def main() -> int:

@@ -133,6 +133,34 @@ def test_steps_that_were_slept_through_are_taken_over():
     assert team.pilot.map.farm.plots._visit[3] == 7
 
 
+def test_the_map_has_vehicles_where_they_have_flown_since_their_poses():
+    """A pose that is 0.4 s old tells where the vehicle was; one that cannot be trusted tells no way."""
+    team = Team()
+    team.tell()
+    team.period()
+    team.clock.now += 0.9
+    team.tell(OTHER, late=0.4, place=(204.0, 150.0), velocity=(8.0, -5.0))
+    team.offer(OTHER, late=0.4, place=(700.0, 150.0), velocity=(8.0, 0.0))
+    team.period()
+    rows = {name: vehicle.row for name, vehicle in team.pilot.vehicles.items()}
+    assert team.pilot.map.steps == 1
+    position = team.pilot.map.farm.position[0]
+    # 0.4 s and the period of 0.1 s
+    np.testing.assert_allclose(position[rows[UAV]], (204.0 + 0.5 * 8.0, 150.0 - 0.5 * 5.0), atol=1e-3)
+    np.testing.assert_allclose(position[rows[OTHER]], (200.0, 150.0))
+
+
+def test_set_points_are_no_faster_than_the_farms_uavs():
+    """With inertia its simulator holds commands to the top speed over ground of the type, and so does the pilot."""
+    dynamics = DynamicsConfig("inertial", speed=(8.4, 7.0, 6.0))
+    team = Team(dataclasses.replace(FARM, dynamics=dynamics), Constant((1.0, -0.25)))
+    team.tell()
+    found = team.period()
+    assert [found[name].velocity for name in ("communication_0", UAV, OTHER)] == [(8.4, -2.5), (7.0, -2.5), (6.0, -2.5)]
+    assert found[UAV].action == (1.0, -0.25)
+    np.testing.assert_allclose(team.pilot.map._commands[:2], [(8.4, -2.5), (7.0, -2.5)])
+
+
 def test_reports_set_counters_to_0_in_the_step_in_which_they_were_served():
     """A report that comes steps later counts in the step of its time stamp; repeated ones count once."""
     quick = dataclasses.replace(FARM, world=dataclasses.replace(WORLD, vdf_cycle=3, sensor_cycles=(3,)))
