@@ -116,6 +116,7 @@ class _PettingZoo:
 
     def __init__(self, config: EnvConfig, team: TeamSpec) -> None:
         from eia_sec.rollout.envs.pettingzoo_actions import RowActions  # noqa: PLC0415  (pettingzoo loads only for its users)
+        from eia_sec.rollout.envs.pettingzoo_observations import RowObservations  # noqa: PLC0415  (likewise)
         from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel  # noqa: PLC0415  (likewise)
 
         boxes = not any(group.choices for group in team.groups)
@@ -123,19 +124,15 @@ class _PettingZoo:
             agents = describe(made, config.types)
         if agents.team != team:
             raise PolicyError(f"the policy is for another team than {config.name} has.")
-        self._views, self._actions = agents.views, RowActions(agents.actions)
+        self._rows, self._actions = RowObservations(agents.views), RowActions(agents.actions)
 
     def row(self, observations: Observations, infos: Infos) -> Float32:
         """See `_Interface`."""
-        _require_known(observations, self._views)
+        _require_known(observations, self._rows.views)
         try:
-            parts = [
-                view.numbers(name, observations[name], infos.get(name, {})) if name in observations else view.absent()
-                for name, view in self._views.items()
-            ]
+            return self._rows.row(observations, infos)[None].copy()
         except ContractError as error:
             raise PolicyError(f"the policy was given {error}") from None
-        return np.concatenate(parts)[None]
 
     def actions(self, row: Float32, agents: Observations) -> dict[Any, Any]:
         """See `_Interface`."""

@@ -19,10 +19,12 @@ import threading
 import time
 import traceback
 import warnings
+
+# signal's own looks for a name of each handler, which takes longer than all else here.
+from _signal import getsignal  # type: ignore[import-not-found]  # typeshed has no stub of it
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from types import ModuleType
 from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
@@ -47,6 +49,8 @@ SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD, 
 SHOWN: Final = 100
 """Most characters of a user's value in a sentence."""
 
+PLAIN: Final = {float, int, np.float32, np.float64}
+"""Types of which a reward is a number without further checks."""
 LONGEST: Final = 4000
 """Most characters of a user's exception."""
 RENDER_SECONDS: Final = 5.0
@@ -75,8 +79,7 @@ class Step(NamedTuple):
     infos: By
 
 
-@dataclass(frozen=True)
-class Running:
+class Running(NamedTuple):
     """A call of a user's code that has not returned.
 
     Attributes:
@@ -177,9 +180,10 @@ class Guard:
             wanted = "five dictionaries: observations, rewards, terminations, truncations and infos"
             self._require(method, _are_mappings(found, 5), found, wanted)
             observations, rewards, terminations, truncations, infos = found
-            numbers = {name: self._reward(name, rewards[name]) for name in actions if name in rewards}
+            same = rewards.keys() == actions.keys()
+            numbers = self._rewards(rewards if same else {name: rewards[name] for name in actions if name in rewards})
             self._follow(method, observations, infos)
-            acted = actions.keys() & set(self.agents)
+            acted = actions.keys() & self.agents
             for what, given in (("reward", rewards), ("termination", terminations), ("truncation", truncations)):
                 if missing := acted - given.keys():
                     self._require(method, False, given, f"a {what} of agent {min(missing, key=str)}")
@@ -203,6 +207,11 @@ class Guard:
 
     def _flags(self, what: str, given: By) -> Mapping[Any, bool]:
         """Return what terminations or truncations say; raise ContractError unless each is a truth value."""
+        kinds = {*map(type, given.values())}
+        if kinds <= {bool}:
+            return given
+        if kinds <= {bool, np.bool_}:
+            return {name: bool(value) for name, value in given.items()}
         found = {}
         for name, value in given.items():
             if not isinstance(value, bool | np.bool_):
@@ -220,14 +229,6 @@ class Guard:
         except (EnvironmentFaultError, EnvironmentOutageError) as error:
             log(str(error))
 
-    @contextmanager
-    def returned(self, method: str) -> Iterator[None]:
-        """Turn a ContractError about a returned value into a sentence that names the environment and the method."""
-        try:
-            yield
-        except ContractError as error:
-            raise ContractError(f"{self.name}: {method} returned {error}") from None
-
     def _space(self, method: str, agent: Any) -> spaces.Space[Any]:
         with calling(self.name, f"{method}({agent!r})") as called:
             found = getattr(self.wrapped, method)(agent)
@@ -239,7 +240,10 @@ class Guard:
         """Take over the living agents, of which each must be seen."""
         self._require(method, _are_mappings([*infos.values()]), infos, "a dictionary as each agent's info")
         agents = getattr(self.wrapped, "agents", None)
-        known = isinstance(agents, Sequence) and _are_unique(agents) and set(agents) <= set(self.possible_agents)
+        known = type(agents) is list and agents == self.agents  # they are those that were known before
+        known = known or (
+            isinstance(agents, Sequence) and _are_unique(agents) and set(agents) <= set(self.possible_agents)
+        )
         self._require("agents", known, agents, f"a list of the living ones among possible_agents after {method}")
         self.agents = list(agents or ())
         for name in self.agents:
@@ -248,6 +252,15 @@ class Guard:
                     f"{self.name}: {method} returned no observation of agent {name}, which lives; PettingZoo asks for "
                     "one of each agent in agents."
                 )
+
+    def _rewards(self, given: By) -> Mapping[Any, float]:
+        """Return the agents' rewards, checked at once where all are plain numbers; see `_reward`."""
+        kinds, values = {*map(type, given.values())}, given.values()
+        bounded = values and kinds <= PLAIN and min(values) >= -LARGEST and max(values) <= LARGEST
+        # Comparisons with what is not a number are always false, so that it shows in the sum alone.
+        if bounded and not math.isnan(sum(values)):
+            return given if kinds == {float} else {name: float(value) for name, value in given.items()}
+        return {name: self._reward(name, value) for name, value in given.items()}
 
     def _reward(self, name: Any, value: Any) -> float:
         """Return an agent's reward; raise ContractError unless it is a number that the learner takes."""
@@ -324,7 +337,7 @@ def calling(name: str, method: str) -> Iterator[str]:
     limit = _for_watchers[-1] if _for_watchers else math.inf
     Guard.running = Running(name, method, time.monotonic(), bool(_for_watchers))
     try:
-        with _limited(limit):
+        with _limited(limit) if limit < math.inf else nullcontext():
             yield method
     except (ConfigError, ContractError, EnvironmentOutageError, TerminatedError):
         raise
@@ -367,7 +380,7 @@ class _TooLongError(BaseException):
 @contextmanager
 def _limited(seconds: float) -> Iterator[None]:
     """Interrupt this block after some seconds; only the main thread can be interrupted, and only in Python code."""
-    if seconds == math.inf or threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
 
@@ -391,7 +404,8 @@ class _Exits:
     @classmethod
     def watch(cls, name: str) -> None:
         """Name the environment to which this process's exits belong."""
-        os._exit = partial(cls._exit, name, os.getpid())
+        if getattr(os._exit, "args", None) != (watched := (name, os.getpid())):
+            os._exit = partial(cls._exit, *watched)
 
     @classmethod
     def _exit(cls, name: str, process: int, status: int) -> NoReturn:
@@ -432,7 +446,9 @@ class _Settings(NamedTuple):
         if self.numpy != present.numpy:
             np.seterr(**self.numpy)
         if (torch := sys.modules.get("torch")) is not None:
-            torch.set_default_dtype(self.torch or torch.float32)
+            kind = self.torch or torch.float32
+            if kind != torch.get_default_dtype():
+                torch.set_default_dtype(kind)
         if self.filters != present.filters:
             warnings.resetwarnings()
             warnings.filters.extend(self.filters)  # type: ignore[attr-defined]  # typeshed calls it a sequence
@@ -449,11 +465,13 @@ def _handlers() -> tuple[dict[int, Any], set[int]]:
     """Return the handlers of SIGNALS and the blocked signals; only the main thread can put them back."""
     if threading.current_thread() is not threading.main_thread():
         return {}, set()
-    return {number: signal.getsignal(number) for number in SIGNALS}, set(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+    return {number: getsignal(number) for number in SIGNALS}, set(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
 
 
 def _restore(handlers: tuple[dict[int, Any], set[int]]) -> None:
     present = _handlers()
+    if present == handlers:
+        return
     for number, handler in handlers[0].items():
         if present[0][number] is not handler:
             signal.signal(number, handler)
@@ -486,4 +504,4 @@ def _are_unique(names: Sequence[Any]) -> bool:
 def _are_mappings(found: Any, count: int | None = None) -> bool:
     if not isinstance(found, tuple | list) or count not in (None, len(found)):
         return False
-    return all(isinstance(part, Mapping) for part in found)
+    return {*map(type, found)} <= {dict} or all(isinstance(part, Mapping) for part in found)

@@ -5,7 +5,7 @@ each of their numbers, and the environment's number is the option's index plus t
 """
 
 import itertools
-from collections.abc import Container, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -52,12 +52,14 @@ class RowActions:
     """
 
     def __init__(self, found: Mapping[Any, spaces.Space[Any]]) -> None:
-        self._spaces = list(found.items())
+        self._names, self._spaces = list(found), list(found.values())
         ends = np.cumsum([0, *(action_size(space) for space in found.values())]).tolist()
         self._parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
         limits = [_limits(space) for space in found.values()]
         self._low, self._high = (np.concatenate([end[side] for end in limits]) for side in (0, 1))
         self._choice = np.concatenate([np.full(action_size(s), bool(choices_of(s))) for s in found.values()])
+        self._starts = _starts(self._spaces)
+        self._alike = _alike_boxes(self._spaces)
 
     def in_range(self, action: Float32) -> Float32:
         """Return the actions within their spaces: in low..high, or whole indices of options.
@@ -68,6 +70,9 @@ class RowActions:
         Returns:
             [E, A] float32.
         """
+        if self._starts is not None:
+            whole: Float32 = np.clip(np.rint(action), self._low, self._high)
+            return whole
         share = (np.clip(action, -1.0, 1.0) + 1.0) / 2.0
         spread: Float32 = np.clip(self._low + share * (self._high - self._low), self._low, self._high)
         if not self._choice.any():
@@ -75,18 +80,39 @@ class RowActions:
         chosen: Float32 = np.where(self._choice, np.clip(np.rint(action), self._low, self._high), spread)
         return chosen
 
-    def by_agent(self, row: Float32, present: Container[Any]) -> dict[Any, Any]:
+    def by_agent(self, row: Float32, present: Collection[Any]) -> dict[Any, Any]:
         """Return the environment's action of each agent that is present.
 
         Args:
             row: [A], one row of `in_range`.
             present: names of the agents that act.
         """
-        return {
-            name: _converted(row[part], space)
-            for (name, space), part in zip(self._spaces, self._parts, strict=True)
-            if name in present
-        }
+        taken = dict(zip(self._names, self._each(row), strict=True))
+        return taken if len(present) == len(taken) else {name: taken[name] for name in self._names if name in present}
+
+    def _each(self, row: Float32) -> list[Any]:
+        """Return all agents' actions in row order; teams of one kind are converted at once."""
+        if self._starts is not None:
+            found: list[int] = (row.astype(np.int64) + self._starts).tolist()
+            return found
+        if self._alike is not None:
+            low, high = self._alike
+            return list(np.clip(row.astype(low.dtype).reshape(low.shape), low, high))
+        return [_converted(row[part], space) for space, part in zip(self._spaces, self._parts, strict=True)]
+
+
+def _starts(found: Sequence[spaces.Space[Any]]) -> NDArray[np.int64] | None:
+    """Return the first option [agents] of each agent if all actions are Discrete, or None."""
+    starts = [space.start for space in found if isinstance(space, spaces.Discrete)]
+    return np.array(starts, np.int64) if len(starts) == len(found) else None
+
+
+def _alike_boxes(found: Sequence[spaces.Space[Any]]) -> tuple[NDArray[Any], NDArray[Any]] | None:
+    """Return the bounds [agents, ...] if all actions are boxes of one shape and floating-point type, or None."""
+    boxes = [space for space in found if isinstance(space, spaces.Box) and space.dtype in (np.float32, np.float64)]
+    if len(boxes) < len(found) or len({(space.shape, space.dtype) for space in boxes}) > 1 or boxes[0].shape == ():
+        return None
+    return np.stack([space.low for space in boxes]), np.stack([space.high for space in boxes])
 
 
 def _limits(space: spaces.Space[Any]) -> tuple[Float32, Float32]:

@@ -30,6 +30,7 @@ from eia_sec.rollout.envs.base import Patience
 from eia_sec.rollout.envs.episode_infos import EpisodeInfos
 from eia_sec.rollout.envs.guard import Guard, for_watchers
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
+from eia_sec.rollout.envs.pettingzoo_observations import RowObservations
 from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel
 from eia_sec.rollout.envs.pictures import MAKING_SECONDS, draws, with_pictures
 
@@ -99,9 +100,8 @@ class PettingZooBatch:
             made.pop_all()
         self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
-        self._agents, self._views = agents, [agents.views] * environments
+        self._agents, self._rows = agents, [RowObservations(agents.views)] * environments
         self._actions = RowActions(agents.actions)
-        self._absent = {name: view.absent() for name, view in agents.views.items()}
         kind = observation_type(self.team, rounded=False)
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), kind)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
@@ -155,13 +155,15 @@ class PettingZooBatch:
         if self.time.min() < 0 or self.ended.all():
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
         self.action = rows = self._actions.in_range(action)
-        running = [index for index in range(len(rows)) if not self.ended[index]]
-        self.reward[self.ended] = 0.0
+        running = np.flatnonzero(~self.ended).tolist()
+        if len(running) < len(rows):
+            self.reward[self.ended] = 0.0
         acts = [self._actions.by_agent(rows[index], set(self._environments[index].agents)) for index in running]
         for index, actions in zip(running, acts, strict=True):
             self._environments[index].ahead(actions)
         for index, actions in zip(running, acts, strict=True):
             self._step(index, actions)
+        self._returns += self.reward
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return the summary of an environment's episode so far; raise SimulationError before the first."""
@@ -234,7 +236,7 @@ class PettingZooBatch:
                 f"with the arguments {config.arguments} {config.name} has other action spaces; arguments that change "
                 "while a run trains must keep them."
             )
-        self._views[index] = found.views
+        self._rows[index] = RowObservations(found.views)
         self._made[index] = config.arguments
         self._made_for_pictures.discard(index)
 
@@ -288,8 +290,10 @@ class PettingZooBatch:
         try:
             step = environment.step(actions)
             # Some environments go on to name agents that have left.
-            here = present | set(environment.agents)
-            seen = {name: part for name, part in step.observations.items() if name in here}
+            here = present.union(environment.agents)
+            seen = step.observations
+            if seen.keys() - here:
+                seen = {name: part for name, part in seen.items() if name in here}
             self._observe(index, "step()", seen, step.infos)
         except EnvironmentOutageError as error:
             self._note_outage(index, error)
@@ -304,7 +308,6 @@ class PettingZooBatch:
         self.infos.add(index, step.infos)
         self.time[index] += 1
         self.reward[index] = [step.rewards.get(name, 0.0) for name in self.names]
-        self._returns[index] += self.reward[index]
         ended = all(step.terminations.get(name, False) or step.truncations.get(name, False) for name in here)
         over = not environment.agents or ended
         self.terminated[index] = over and all(step.terminations.get(name, True) for name in present)
@@ -340,11 +343,7 @@ class PettingZooBatch:
         return self._patience
 
     def _observe(self, index: int, method: str, observations: Mapping[Any, Any], infos: Mapping[Any, Any]) -> None:
-        environment, row = self._environments[index], []
-        with environment.returned(method):
-            for name, view in self._views[index].items():
-                if name in observations:
-                    row.append(view.numbers(name, observations[name], infos.get(name, {})))
-                else:
-                    row.append(self._absent[name])
-        np.concatenate(row, out=self.observation[index])
+        try:
+            self.observation[index] = self._rows[index].row(observations, infos)
+        except ContractError as error:
+            raise ContractError(f"{self._config.name}: {method} returned {error}") from None

@@ -8,7 +8,9 @@ A Box of bytes with three dimensions is an image, height by width by channels; i
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -23,6 +25,8 @@ from eia_sec.rollout.envs.guard import shown
 MASK: Final = "action_mask"
 """Key of a mask in an observation or in an agent's info."""
 MaskSource = Literal["none", "observation", "info"]
+FLOATS: Final = (np.dtype(np.float32), np.dtype(np.float64))
+"""Types of which each may stand for the other; the row's own is the first."""
 Numbers = NDArray[Any]
 """Numbers of type float32, or bytes."""
 
@@ -71,12 +75,20 @@ class AgentView:
         """Whether the observation ends with a mask."""
         return self.source != "none"
 
+    @cached_property
+    def plain_types(self) -> tuple[np.dtype[Any], ...]:
+        """The types of arrays that are flattened by their shape alone; empty where observations need more than that."""
+        if self.masked or not isinstance(self.space, spaces.Box):
+            return ()
+        kind = np.dtype(self.space.dtype)
+        return (kind, *(other for other in FLOATS if other != kind)) if kind in FLOATS else (kind,)
+
     def numbers(self, name: Any, seen: Any, info: Mapping[str, Any]) -> Numbers:
         """Return the observation [size] of an agent that is present, float32, or bytes of an image.
 
         Raises:
             ContractError: observation or mask do not fit the agent's spaces, or a number is not finite or larger than
-                LARGEST. The sentence goes on from "NAME: METHOD returned", see `Guard.returned`.
+                LARGEST. The sentence goes on from "NAME: METHOD returned".
         """
         try:
             if self.image:
@@ -127,6 +139,70 @@ class AgentView:
                 "actions, 1 where it is legal."
             )
         return _with_a_way_out(legal, self.choices).astype(np.float32)
+
+
+class RowObservations:
+    """Converts what all agents of an environment see into a row.
+
+    Vectors and images that come as arrays of their space's shape and type are converted and checked at once; whatever
+    else comes is taken agent by agent, as is what fails the check, so that the sentence names the agent.
+
+    Args:
+        views: each agent's view, in row order.
+    """
+
+    def __init__(self, views: Mapping[Any, AgentView]) -> None:
+        self.views = dict(views)
+        self._absent = {name: view.absent() for name, view in views.items()}
+        self._bytes = all(view.image for view in views.values())
+        size = sum(view.size for view in views.values())
+        self._row: Numbers = np.zeros(size, np.uint8 if self._bytes else np.float32)
+        self._plain = all(view.plain_types for view in views.values())
+        if self._plain:
+            self._shapes = [view.space.shape for view in views.values()]
+            self._types = [view.plain_types for view in views.values()]
+            self._usual = [self._row.dtype] * len(views)
+            self._flat = all(len(shape or ()) == 1 for shape in self._shapes)
+            self._empty = [part.reshape(s) for part, s in zip(self._absent.values(), self._shapes, strict=True)]
+
+    def row(self, observations: Mapping[Any, Any], infos: Mapping[Any, Mapping[str, Any]]) -> Numbers:
+        """Return the row [O], zeros where an agent is absent; it is overwritten by the next call.
+
+        Args:
+            observations: of the agents that are present, by name.
+            infos: by name, where masks may be.
+
+        Raises:
+            ContractError: as `AgentView.numbers`.
+        """
+        if not self._at_once(observations):
+            parts = [
+                view.numbers(name, observations[name], infos.get(name, {})) if name in observations else absent
+                for (name, view), absent in zip(self.views.items(), self._absent.values(), strict=True)
+            ]
+            np.concatenate(parts, out=self._row)
+        return self._row
+
+    def _at_once(self, observations: Mapping[Any, Any]) -> bool:
+        """Convert plain arrays into the row; return whether that was possible and all numbers are in range."""
+        if not self._plain:
+            return False
+        parts = [observations.get(name, absent) for name, absent in zip(self.views, self._empty, strict=True)]
+        if {*map(type, parts)} != {np.ndarray} or [part.shape for part in parts] != self._shapes:
+            return False
+        found = [part.dtype for part in parts]
+        if found != self._usual and not all(kind in types for kind, types in zip(found, self._types, strict=True)):
+            return False
+        flat = parts if self._flat else [part.ravel() for part in parts]
+        with nullcontext() if found == self._usual else np.errstate(over="ignore", invalid="ignore"):
+            np.concatenate(flat, out=self._row, casting="unsafe")
+        return self._bytes or self._in_range()
+
+    def _in_range(self) -> bool:
+        # The sum of squares is the faster test, and bounds each of its parts.
+        if np.dot(self._row, self._row) <= LARGEST**2:
+            return True
+        return bool(np.minimum.reduce(self._row) >= -LARGEST and np.maximum.reduce(self._row) <= LARGEST)
 
 
 def _misfit(name: Any, seen: Any, space: spaces.Space[Any], why: str) -> ContractError:

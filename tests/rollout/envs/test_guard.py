@@ -1,6 +1,7 @@
 """Whatever a user's environment returns, raises or sets, it is named, and the process goes on."""
 
 import importlib
+import math
 import os
 import signal
 import subprocess
@@ -22,6 +23,7 @@ from eia_sec.common.errors import (
     EnvironmentOutageError,
     TerminatedError,
 )
+from eia_sec.common.transitions import LARGEST
 from eia_sec.rollout.envs import guard
 from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
 from eia_sec.rollout.envs.registry import environment_spec
@@ -234,3 +236,25 @@ def test_a_name_without_a_text_is_the_users_fault():
 
     with pytest.raises(EnvironmentFaultError, match=r"make\(\) raised ValueError: no text$"):
         guard.Guard("a:make", make, {})
+
+
+@pytest.mark.parametrize("numbers", [[1.0, 2, np.float32(3.0)], [np.float64(1.0), -LARGEST], []])
+def test_plain_rewards_are_taken_as_they_are(numbers):
+    """Floats of every width and whole numbers are rewards, up to the largest."""
+    taken = an_environment()._rewards(dict(enumerate(numbers)))
+    assert list(taken.values()) == numbers
+    assert {*map(type, taken.values())} <= {float}
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, np.float32(np.nan), -1.1e7, 10**400, np.ones(1), None, "1"])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_one_odd_reward_among_others_is_named_wherever_it_is(odd, place):
+    """The test of all rewards at once lets nothing through that an agent alone may not earn."""
+    rewards = [1.0, 2.0]
+    rewards.insert(place, odd)
+    with pytest.raises(ContractError, match=f"agent {place}"):
+        an_environment()._rewards(dict(enumerate(rewards)))
+
+
+def an_environment():
+    return guard.Guard("toy_env:Relay", importlib.import_module("toy_env").Relay, {})

@@ -19,11 +19,12 @@ from eia_sec.common.errors import ConfigError, ContractError, SimulationError, U
 from eia_sec.common.farm import farm_of
 from eia_sec.common.protocol.chunk_rules import ChunkRules
 from eia_sec.common.protocol.messages import Envelope
-from eia_sec.common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from eia_sec.common.transitions import LARGEST, TERMINATED, TRANSITION, TRUNCATED
 from eia_sec.learner.intake.episode_tracker import EpisodeTracker
 from eia_sec.rollout.envs import registry
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
+from eia_sec.rollout.envs.pettingzoo_observations import AgentView, RowObservations
 from eia_sec.rollout.envs.pettingzoo_spec import make_parallel
 from eia_sec.rollout.envs.registry import environment_spec, make_environments
 from eia_sec.rollout.evaluation import evaluate_run
@@ -395,3 +396,44 @@ def test_other_arguments_keep_the_actions():
         with pytest.raises(ConfigError, match="other action spaces"):
             batch.reset(1, 0, 1)
         assert batch._actions.by_agent(np.zeros(2), {"walker_0"}) == {"walker_0": 0}
+
+
+@pytest.mark.parametrize("space", [spaces.Box(-9, 9, (4,), np.float32), spaces.Box(-9, 9, (2, 3), np.float64)])
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16, int, list])
+def test_rows_converted_at_once_equal_those_agent_by_agent(space, kind):
+    """Whatever type the numbers come in, and whoever is absent."""
+    views = {name: AgentView.of(name, space, (), informed=False) for name in "abc"}
+    drawn = np.random.default_rng(0).uniform(-9, 9, (3, *space.shape))
+    seen = {name: part.tolist() if kind is list else part.astype(kind) for name, part in zip("abc", drawn, strict=True)}
+    rows = RowObservations(views)
+    wanted = [view.numbers(name, seen[name], {}) for name, view in views.items()]
+    np.testing.assert_array_equal(rows.row(seen, {}), np.concatenate(wanted))
+    del seen["b"]
+    np.testing.assert_array_equal(rows.row(seen, {}), np.concatenate([wanted[0], views["b"].absent(), wanted[2]]))
+
+
+def test_the_largest_numbers_are_taken_and_larger_ones_named():
+    """The test of a whole row neither refuses what an agent alone may show nor takes what it may not."""
+    views = {name: AgentView.of(name, spaces.Box(-np.inf, np.inf, (2,)), (), informed=False) for name in "ab"}
+    rows, seen = RowObservations(views), {"a": np.full(2, LARGEST, np.float32), "b": np.full(2, -LARGEST, np.float32)}
+    np.testing.assert_array_equal(rows.row(seen, {}), [LARGEST, LARGEST, -LARGEST, -LARGEST])
+    for number in (np.nextafter(np.float32(LARGEST), np.inf, dtype=np.float32), np.inf, np.nan):
+        with pytest.raises(ContractError, match=r"an observation of agent b with .* at index 1; the largest is 1e"):
+            rows.row({**seen, "b": np.array([0.0, number], np.float32)}, {})
+
+
+@pytest.mark.parametrize(
+    "spaces_of",
+    [
+        [spaces.Discrete(3, start=5)] * 3,
+        [spaces.Box(-3.0, 0.1, (2,), np.float64)] * 2,
+        [spaces.Box(-3.0, 0.1, (2, 1))] * 2,
+    ],
+)
+def test_actions_converted_at_once_are_in_their_spaces(spaces_of):
+    """Every number from an actor, ends included, is an action of the agent's own space; who is absent has none."""
+    actions = RowActions(dict(enumerate(spaces_of)))
+    for row in actions.in_range(np.linspace(-1.5, 3.5, 11, dtype=np.float32)[:, None].repeat(len(actions._low), 1)):
+        taken = actions.by_agent(row, range(len(spaces_of)))
+        assert all(spaces_of[name].contains(action) for name, action in taken.items())
+        assert actions.by_agent(row, {1}).keys() == {1}
