@@ -42,6 +42,9 @@ COMMANDS: Final = {
     "train": Command(
         "eia_sec.deploy.commands.training.train", "train on this machine: learner, coordinator, workers, live view"
     ),
+    "benchmark": Command(
+        "eia_sec.deploy.commands.training.benchmark", "compare algorithms over seeds and environments: table and plots"
+    ),
     "learner": Command("eia_sec.deploy.commands.training.learner", "start the learner alone"),
     "rollout": Command("eia_sec.deploy.commands.training.rollout", "start one rollout worker"),
     "elite": Command("eia_sec.deploy.commands.training.elite", "start the elite coordinator"),
@@ -82,6 +85,7 @@ COMMANDS: Final = {
     "trial": Command(
         "eia_sec.deploy.commands.training.trial", "internal: train tries an environment from outside with it"
     ),
+    "measure": Command("eia_sec.deploy.commands.training.measure", "internal: benchmark does each of its runs with it"),
     "alive": Command(
         "eia_sec.deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),

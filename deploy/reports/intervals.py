@@ -1,35 +1,52 @@
-"""A Markdown table of policies with confidence intervals of their means."""
+"""Interquartile means and their intervals, as rliable defines them.
 
-from typing import Any, Final
+Scores are [runs, tasks]: one row for each seed, one column for each task. The interquartile mean is that of the middle
+half of all of them (Agarwal et al. 2021, Deep reinforcement learning at the edge of the statistical precipice). The
+interval is the middle 95 % of a stratified bootstrap, which draws the runs of each task apart, with replacement. Of few
+runs it contains the truth less often than 95 % of the time.
+"""
 
-COLUMNS: Final = {
-    "reward": "reward per agent",
-    "communication": "communication",
-    "monitoring": "monitoring",
-    "collection": "data collection",
-    "aoi": "AoI",
-    "vdf": "VDF",
-    "energy_j": "energy, kJ",
-    "collisions": "collisions",
-}
-"""Shown fields of a score and their headings."""
-DECIMALS: Final = {"aoi": 2, "vdf": 2, "energy_j": 1, "collisions": 2}
-"""Number of decimals by field; others have none."""
+from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 
-def interval_table(data: dict[str, Any]) -> str:
-    """Return the results as Markdown, best reward first."""
-    lines = ["| policy | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---:|" * len(COLUMNS)]
-    for result in ranked(data):
-        cells = [result["policy"]]
-        for name in COLUMNS:
-            scale, digits = (0.001 if name == "energy_j" else 1.0), DECIMALS.get(name, 0)
-            mean, low, high = (f"{value * scale:.{digits}f}" for value in result[name])
-            cells.append(mean if low == high else f"{mean} ({low}..{high})")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+from eia_sec.common.seeds import stream
+
+Numbers = NDArray[np.float64]
+
+LEVEL: Final = 0.95
+"""Share of the bootstrap that an interval holds."""
+RESAMPLES: Final = 2000
 
 
-def ranked(data: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the results, best reward first."""
-    return sorted(data["results"], key=lambda result: -result["reward"][0])
+class Interval(NamedTuple):
+    """A number and the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def interquartile_mean(scores: Numbers) -> Numbers:
+    """Return the mean of the middle half of all scores [..., runs, tasks], one for each leading index."""
+    flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
+    cut = int(0.25 * flat.shape[-1])
+    middle: Numbers = flat[..., cut : flat.shape[-1] - cut].mean(axis=-1)
+    return middle
+
+
+def stratified_interval(scores: Numbers) -> Interval:
+    """Return the interquartile mean of scores [runs, tasks] and its stratified bootstrap interval.
+
+    With a single run there is nothing to draw from, and both ends are the number itself.
+    """
+    runs, tasks = scores.shape
+    drawn = stream("benchmark", "bootstrap").integers(runs, size=(RESAMPLES, runs, tasks))
+    return between(float(interquartile_mean(scores)), interquartile_mean(scores[drawn, np.arange(tasks)]))
+
+
+def between(value: float, drawn: Numbers) -> Interval:
+    """Return a number with the middle LEVEL of what a bootstrap has drawn [B] as its interval."""
+    low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2, (1.0 + LEVEL) / 2])
+    return Interval(value, float(low), float(high))

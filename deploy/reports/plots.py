@@ -38,6 +38,9 @@ from eia_sec.rollout.sim.layout import make_layout
 
 DPI: Final = 150
 OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+MARKS: Final = ("o", "s", "^", "D", "v", "P")
+"""Of curves and points, so that they are told apart without colours, too."""
 PIECE_STEPS: Final = 25
 """Steps of a fading path that share one opacity."""
 OLDEST: Final = 0.1

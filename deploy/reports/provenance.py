@@ -1,11 +1,12 @@
 """The provenance of a result: command, commit and package versions."""
 
 import platform
+import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib.metadata import packages_distributions, version
 from typing import Any, Final
 
 PACKAGES: Final = ("eclipse-zenoh", "torch", "numpy", "numba")
@@ -32,14 +33,24 @@ def commit() -> str:
     return asked.stdout.strip() or "unknown"
 
 
-def made_by(program: str, arguments: Sequence[str]) -> dict[str, Any]:
-    """Return command line, commit and package versions."""
+def versions(modules: Sequence[str] = ()) -> dict[str, Any]:
+    """Return commit and package versions.
+
+    Args:
+        modules: modules, or module:name, whose packages count, too; those without a version are left out.
+    """
+    owners = packages_distributions() if modules else {}
+    others = [owner for module in modules for owner in owners.get(re.split("[.:]", module)[0], ())]
     return {
-        "command": command(program, arguments),
         "commit": commit(),
         "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {name: version(name) for name in dict.fromkeys((*PACKAGES, *others))},
     }
+
+
+def made_by(program: str, arguments: Sequence[str], modules: Sequence[str] = ()) -> dict[str, Any]:
+    """Return command line, commit and package versions; `modules` as in `versions`."""
+    return {"command": command(program, arguments), **versions(modules)}
 
 
 def provenance(module: str) -> dict[str, Any]:

@@ -21,11 +21,11 @@ from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import UsageError
 from eia_sec.common.seeds import stream
 from eia_sec.deploy.commands.policies.evaluate import parse_farms
-from eia_sec.deploy.reports.intervals import COLUMNS, ranked
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import Evaluation, Score, evaluate
 from eia_sec.rollout.heuristics.registry import HEURISTICS, RELAYS
 from eia_sec.rollout.policies import policy_of
+from research.pages.interval_tables import COLUMNS, ranked
 
 RESAMPLES: Final = 10_000
 LEVEL: Final = 0.95

@@ -2,9 +2,9 @@
 
 from typing import Any, Final
 
-from eia_sec.deploy.reports.intervals import COLUMNS, DECIMALS, ranked
 from eia_sec.rollout.heuristics.registry import TASKS
 from research.pages.blocks import table, wrapped
+from research.pages.interval_tables import COLUMNS, DECIMALS, ranked
 
 UNTRAINED: Final = "untrained"
 """Name of the team with which training begins."""

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from eia_sec.deploy.reports.intervals import interval_table
 from research.benchmarks.distribution.summary import summary
 from research.pages import capacity
 from research.pages.blocks import read_json
 from research.pages.inertia_table import inertia_block
+from research.pages.interval_tables import interval_table
 from research.pages.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "research/results/reproduce/training/results.json"

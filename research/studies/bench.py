@@ -8,7 +8,7 @@ import numpy as np
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.presets import preset
-from research.studies.analysis.statistics import Numbers, interquartile_mean
+from eia_sec.deploy.reports.intervals import Numbers, interquartile_mean
 from research.studies.jobs import Job, Records
 from research.studies.methods import CANDIDATES, TUNED_PRESET, Method, configuration, with_uavs
 from research.studies.scales import CHOICE_FARM, FIRST_FARM, TRIAL_SEED, Scale

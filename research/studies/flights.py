@@ -8,9 +8,9 @@ import numpy as np
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, farm_team
 from eia_sec.common.policy_file import load_policy
+from eia_sec.deploy.reports.intervals import Numbers
 from eia_sec.rollout.evaluation import Trajectory, record
 from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
-from research.studies.analysis.statistics import Numbers
 from research.studies.analysis.summary import choice_summary, reference_summary
 from research.studies.bench import Bench
 from research.studies.jobs import POLICY_SUFFIX

@@ -26,6 +26,7 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.team import TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
 from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.local.process_queue import PROGRESS
 from eia_sec.deploy.reports.provenance import commit
 from eia_sec.learner.trainer import Trainer
 from eia_sec.rollout.envs.registry import environment_spec
@@ -42,8 +43,6 @@ ROOM_SECONDS: Final = 1.0
 """Pause before it is tried again to write onto a disk that was full."""
 DIVERGED: Final = 1e6
 """A critic loss beyond this, in units of scaled reward squared, counts as diverged; such a run is cut short."""
-PROGRESS: Final = "progress"
-"""First word of the lines that report how far a run is."""
 DIGITS: Final = 4
 """Decimals that records keep."""
 

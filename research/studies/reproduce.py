@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from eia_sec.common.errors import RunDirError
 from eia_sec.common.process import StopSignal
+from eia_sec.deploy.local.process_queue import duration
 from eia_sec.deploy.reports.provenance import command, made_by
 from research.studies.bench import Bench
 from research.studies.catalogue import STUDIES
@@ -16,7 +17,7 @@ from research.studies.jobs import Job
 from research.studies.pages.flight_plots import save_flights
 from research.studies.pages.plots import RESULTS, save_pictures
 from research.studies.pages.tables import SECTIONS, page
-from research.studies.runner import PROGRAM, Runner, duration, packed
+from research.studies.runner import PROGRAM, Runner, packed
 from research.studies.scales import FULL
 
 PAGE: Final = "README.md"

@@ -18,8 +18,9 @@ import numpy as np
 
 from eia_sec.common.errors import RunDirError
 from eia_sec.deploy.exit_codes import run_command
+from eia_sec.deploy.reports.intervals import Numbers
 from eia_sec.deploy.reports.provenance import provenance
-from research.studies.analysis.statistics import Numbers, improvement_interval, interval
+from research.studies.analysis.statistics import improvement_interval, interval
 
 SEEDS: Final = (3, 5, 10)
 """Seeds of each method: those of the side studies, of `training`, and of twice as many."""

@@ -17,40 +17,19 @@ Scores are [runs, farms]: one row for each seed of a method, one column for each
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eia_sec.common.errors import ConfigError
 from eia_sec.common.seeds import stream
+from eia_sec.deploy.reports.intervals import RESAMPLES, Interval, Numbers, between, interquartile_mean
 from eia_sec.deploy.reports.plots import smooth
 
-Numbers = NDArray[np.float64]
-
-LEVEL: Final = 0.95
-"""Share of the bootstrap that an interval holds."""
-RESAMPLES: Final = 2000
 BAND: Final = 0.05
 """Share of the final value within which a curve counts as converged."""
 TAIL: Final = 0.1
 """Share of the episodes at the end that final value and spread are taken over."""
-
-
-class Interval(NamedTuple):
-    """A number and the ends of its interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-def interquartile_mean(scores: Numbers) -> Numbers:
-    """Return the mean of the middle half of all scores [..., runs, farms], one for each leading index."""
-    flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
-    cut = int(0.25 * flat.shape[-1])
-    middle: Numbers = flat[..., cut : flat.shape[-1] - cut].mean(axis=-1)
-    return middle
 
 
 def mean(scores: Numbers) -> Numbers:
@@ -65,7 +44,7 @@ def interval(scores: Numbers, statistic: Callable[[Numbers], Numbers] = interqua
     With a single run there is nothing to draw from, and both ends are the number itself.
     """
     drawn = stream("studies", "bootstrap").integers(len(scores), size=(RESAMPLES, len(scores)))
-    return _between(float(statistic(scores)), statistic(scores[drawn]))
+    return between(float(statistic(scores)), statistic(scores[drawn]))
 
 
 def improvement(scores: Numbers, other: Numbers) -> float:
@@ -83,7 +62,7 @@ def improvement_interval(scores: Numbers, other: Numbers) -> Interval:
         return Interval(float(wins.mean()), 0.0, 1.0)
     rows, columns = (draw.integers(count, size=(RESAMPLES, count)) for count in wins.shape)
     drawn = wins[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2))
-    return _between(float(wins.mean()), drawn)
+    return between(float(wins.mean()), drawn)
 
 
 def difference_interval(values: Numbers, other: Numbers) -> Interval:
@@ -95,7 +74,7 @@ def difference_interval(values: Numbers, other: Numbers) -> Interval:
         return Interval(float(values.mean() - other.mean()), -math.inf, math.inf)
     draw = stream("studies", "difference")
     one, two = (own[draw.integers(len(own), size=(RESAMPLES, len(own)))].mean(axis=1) for own in (values, other))
-    return _between(float(values.mean() - other.mean()), one - two)
+    return between(float(values.mean() - other.mean()), one - two)
 
 
 def normalised(reward: Numbers, random: Numbers, best: Numbers) -> Numbers:
@@ -162,8 +141,3 @@ def _wins(scores: Numbers, other: Numbers) -> Numbers:
     one, two = scores[:, None], other[None]
     wins: Numbers = ((one > two) + 0.5 * (one == two)).mean(axis=-1)
     return wins
-
-
-def _between(value: float, drawn: Numbers) -> Interval:
-    low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2, (1.0 + LEVEL) / 2])
-    return Interval(value, float(low), float(high))

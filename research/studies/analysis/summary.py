@@ -6,14 +6,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from eia_sec.deploy.reports.intervals import Interval, Numbers, interquartile_mean
 from research.studies.analysis.evidence import SIGNS
 from research.studies.analysis.statistics import (
-    Interval,
-    Numbers,
     convergence,
     final_value,
     improvement_interval,
-    interquartile_mean,
     interval,
     mean,
     normalised,

@@ -14,17 +14,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING
-from eia_sec.deploy.reports.plots import OTHER_COLOURS, SMOOTH_SHARE, TEXT, smooth
+from eia_sec.deploy.reports.intervals import Numbers
+from eia_sec.deploy.reports.plots import LINES, MARKS, OTHER_COLOURS, SMOOTH_SHARE, TEXT, smooth
 from eia_sec.rollout.rendering.palette import LABELS
-from research.studies.analysis.statistics import Numbers
 from research.studies.scales import CHOICE_FARM, SCALES
 
 Results = Mapping[str, Any]
 
 WIDTH: Final = 9.0
 """Inches; a page of about 900 pixels then shows letters of 9 points in 12 pixels."""
-LINES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-MARKS: Final = ("o", "s", "^", "D", "v", "P")
 GRID: Final = 200
 """Episodes at which the seeds' curves are averaged."""
 LATE: Final = 0.5

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING
+from eia_sec.deploy.reports.intervals import Numbers
 from eia_sec.deploy.reports.plots import DPI, TEXT, save_comparison
 from eia_sec.rollout.evaluation import Trajectory
 from eia_sec.rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, STYLES
-from research.studies.analysis.statistics import Numbers
 from research.studies.bench import Bench
 from research.studies.flights import agents_by_type, flights
 from research.studies.scales import SCALES

@@ -9,12 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS, TEXT
+from eia_sec.deploy.reports.intervals import LEVEL, Numbers
+from eia_sec.deploy.reports.plots import DPI, LINES, MARKS, OTHER_COLOURS, TEXT
 from research.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
-from research.studies.analysis.statistics import LEVEL, Numbers
 from research.studies.pages.curve_plots import (
-    LINES,
-    MARKS,
     TYPE_PANELS,
     WIDTH,
     checks_figure,

@@ -6,9 +6,10 @@ from typing import Any, Final
 import numpy as np
 
 from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING
+from eia_sec.deploy.reports.intervals import LEVEL
 from research.studies.analysis.evidence import early_farms, mean_unrest
 from research.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
-from research.studies.analysis.statistics import BAND, LEVEL, TAIL
+from research.studies.analysis.statistics import BAND, TAIL
 from research.studies.methods import ABLATIONS, TRAINED
 from research.studies.pages.notes import filled, note
 from research.studies.pages.plots import caption

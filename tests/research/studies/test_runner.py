@@ -16,7 +16,7 @@ from research.studies.bench import Bench
 from research.studies.jobs import Records
 from research.studies.methods import EIA_SEC
 from research.studies.perform import kept
-from research.studies.runner import Runner, packed, progress
+from research.studies.runner import Runner, packed
 from research.studies.scales import FIRST_FARM
 from tests.research.studies.tiny_study import TINY, trained
 
@@ -35,21 +35,6 @@ def test_short_jobs_share_a_process(bench):
     assert [job for load in loads for job in load.jobs] == jobs
     assert str(loads[0]) == "random and 2 more"
     assert len(packed(jobs, {job.digest: 100.0 for job in jobs})) == len(jobs)
-
-
-@pytest.mark.parametrize(
-    ("lines", "share"),
-    [
-        ("", 0.0),
-        ("progress 0.25\nprogress 0.5", 0.5),
-        ("progress x", 0.0),
-        ("progress 7", 1.0),
-        ("progress 0.1\nwarning", 0.1),
-    ],
-)
-def test_progress_is_the_last_line_that_reports_it(lines, share):
-    """Whatever else a process writes is passed over."""
-    assert progress(lines) == share
 
 
 def full_disk(monkeypatch, times):

@@ -15,11 +15,11 @@ from eia_sec.common.farm import farm_team
 from eia_sec.common.policy_file import load_policy
 from eia_sec.common.process import StopSignal
 from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.reports.intervals import interquartile_mean
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import ActorPolicy, policy_of
 from eia_sec.rollout.sim.batch import FarmBatch
 from research.studies.analysis.claims import CLAIMS
-from research.studies.analysis.statistics import interquartile_mean
 from research.studies.bench import Bench
 from research.studies.catalogue import STUDIES
 from research.studies.estimate import Estimator

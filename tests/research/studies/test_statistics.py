@@ -5,19 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu, trim_mean
+from scipy.stats import mannwhitneyu
 
 from eia_sec.common.errors import ConfigError
+from eia_sec.deploy.reports.intervals import LEVEL, interquartile_mean
 from research.pages.reproduce_tables import COVERAGE as COVERAGE_FILE
 from research.studies.analysis.coverage import block, coverage
 from research.studies.analysis.statistics import (
-    LEVEL,
     convergence,
     difference_interval,
     final_value,
     improvement,
     improvement_interval,
-    interquartile_mean,
     interval,
     mean,
     normalised,
@@ -29,27 +28,6 @@ from research.studies.analysis.verdicts import above, far, judged
 
 COVERAGE = Path(__file__).resolve().parents[3] / COVERAGE_FILE
 EXPERIMENTS = 300
-
-
-@pytest.mark.parametrize(
-    ("scores", "mean"),
-    [
-        ([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]], 4.5),
-        ([[0.0, 0.0, 0.0, 1e9]], 0.0),
-        ([[-1e9, 2.0, 4.0, 1e9]], 3.0),
-        ([[7.0]], 7.0),
-    ],
-)
-def test_interquartile_mean_of_known_scores(scores, mean):
-    """The middle half counts, and outliers on either side do not."""
-    assert interquartile_mean(np.array(scores)) == pytest.approx(mean)
-
-
-def test_interquartile_mean_takes_runs_and_farms_together():
-    """It is scipy's trimmed mean over all of them, for every one of several sets of scores."""
-    scores = np.random.default_rng(0).normal(size=(3, 5, 7))
-    wanted = [trim_mean(own, 0.25, axis=None) for own in scores]
-    np.testing.assert_allclose(interquartile_mean(scores), wanted)
 
 
 def test_an_interval_draws_whole_seeds():

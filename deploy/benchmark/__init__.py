@@ -1,0 +1,1 @@
+"""Comparisons of algorithms over seeds and environments, see `eia-sec benchmark`."""
