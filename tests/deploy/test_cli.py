@@ -216,6 +216,8 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         "router": "--listen",
         "replay": "--against",
         "record": "--out",
+        "benchmark": "--algorithms",
+        "measure": "--job",
     }
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
