@@ -149,6 +149,11 @@ def heuristic(name: str) -> Any:
     return None
 
 
+def heuristics() -> list[str]:
+    """Return the names of all heuristics of loaded plug-ins."""
+    return [name for own in _PLUGINS.values() for name in own.heuristics]
+
+
 def heuristic_at(where: str) -> Any:
     """Return a new heuristic of the class that module:name names, as `heuristic` does."""
     return _Heuristic(where, f"heuristic {where}")
@@ -171,7 +176,20 @@ class _Heuristic:
             if not callable(getattr(found, method, None)):
                 raise PluginError(f"{what}: {where} has no method {method}; policies have reset and act.")
         self.reset = guarded(found.reset, f"{what}: reset", (object,))
-        self.act = guarded(found.act, f"{what}: act", (np.ndarray,))
+        self._act = guarded(found.act, f"{what}: act", (np.ndarray,))
+        self._what = what
+
+    def act(self, environments: Any) -> Any:
+        """Return the heuristic's actions [E, A]; raise PluginError where they are none that environments take."""
+        actions = self._act(environments)
+        wanted = (len(environments.time), environments.team.environment_action_size)
+        if actions.shape != wanted:
+            raise PluginError(
+                f"{self._what}: act returned {list(actions.shape)} numbers, and must return {list(wanted)}."
+            )
+        if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
+            raise PluginError(f"{self._what}: act returned something that is no finite number.")
+        return actions
 
 
 def callbacks(named: Sequence[str]) -> list[Callback]:

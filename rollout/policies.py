@@ -189,9 +189,10 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
     if name == "random":
         return RandomPolicy()
     if not is_file(Path(name)):
+        meant = did_you_mean(name, plugins.heuristics()) or "."
         raise PolicyError(
-            f"outside the farm there is no policy {name!r}: give random, a policy file, a heuristic of a plug-in, or "
-            "module:name of one."
+            f"outside the farm there is no policy {name!r}{meant} Give random, a policy file, a heuristic of a plug-in "
+            "(--plugin NAME), or module:name of one."
         )
     return ActorPolicy(load_policy(Path(name))[0])
 

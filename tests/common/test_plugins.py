@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from types import ModuleType
 
+import numpy as np
 import pytest
 from mytask.env import Cover
 
@@ -14,10 +15,11 @@ from eia_sec.common.config import ALGORITHM_CONFIGS, RunConfig
 from eia_sec.common.config.files import from_toml, method_of, read_saved, to_toml
 from eia_sec.common.config.plugin_names import LOADED, PluginNames
 from eia_sec.common.config.presets import preset
-from eia_sec.common.errors import ConfigError, PluginError, UsageError
+from eia_sec.common.errors import ConfigError, PluginError, PolicyError, UsageError
 from eia_sec.deploy.cli import with_plugins, without_plugins
 from eia_sec.deploy.options import base_configuration
 from eia_sec.learner.registry import off_policy, on_policy
+from eia_sec.rollout.evaluation import evaluate_run
 from eia_sec.rollout.policies import run_policy
 from tests.test_api import TINY
 
@@ -177,6 +179,31 @@ def test_what_cannot_be_imported_or_made_is_named(monkeypatch):
         on_policy("odd")
     with pytest.raises(PluginError, match=r"callback mine:Half is a Half; it must derive from eia_sec\.Callback"):
         plugins.callbacks(["mine"])
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (lambda self, world: np.zeros((1, 2)), r"act returned \[1, 2\] numbers, and must return \[3, 2\]"),
+        (lambda self, world: np.full((3, 2), np.nan), "act returned something that is no finite number"),
+        (lambda self, world: np.full((3, 2), "left"), "act returned something that is no finite number"),
+        (lambda self, world: "left", "act returned a str, and must return a ndarray"),
+        (lambda self, world: 1 / 0, "act raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_actions_of_a_heuristic_that_are_none_are_named(monkeypatch, found, said):
+    """Whatever an environment would not take is a sentence about the heuristic."""
+    module(monkeypatch, Wrong=type("Wrong", (), {"reset": lambda self, world, index: None, "act": found}))
+    config = preset("generic").with_environment("mytask.env:Cover")
+    with pytest.raises(PluginError, match=rf"heuristic mine:Wrong: {said}"):
+        evaluate_run(config, run_policy("mine:Wrong", config), range(3), 1, name="")
+
+
+def test_a_misspelt_heuristic_is_found():
+    """The sentence names the one that was meant."""
+    plugins.load("mytask")
+    with pytest.raises(PolicyError, match=r"no policy 'nearst'; did you mean nearest\? Give random, a policy file"):
+        run_policy("nearst", preset("generic").with_environment("mytask.env:Cover"))
 
 
 @pytest.mark.parametrize(
