@@ -135,6 +135,17 @@ def initial_parameters(
     return np.concatenate(parts).astype(np.float32)
 
 
+def blend(parameters: Float32, target: Float32, rate: float) -> None:
+    """Move parameters to a target in place: theta = (1 - vartheta) theta + vartheta theta', eq. (soft).
+
+    Args:
+        parameters: [..., P] float32.
+        target: float32 that broadcasts to the same shape.
+        rate: vartheta in 0..1.
+    """
+    parameters[...] = np.float32(1.0 - rate) * parameters + np.float32(rate) * target
+
+
 def imitate(parameters: Float32, elite: int, rate: float) -> None:
     """Blend every row with the elite's in place: theta_i = (1 - vartheta) theta_i + vartheta theta_i', eq. (soft).
 
@@ -148,12 +159,10 @@ def imitate(parameters: Float32, elite: int, rate: float) -> None:
     """
     if len(parameters) == 1:
         return
-    keep = np.float32(1.0 - rate)
-    step = np.float32(rate)
     target = parameters[elite].copy()
     for index in range(parameters.shape[0]):
         if index != elite:
-            parameters[index] = keep * parameters[index] + step * target
+            blend(parameters[index], target, rate)
 
 
 @dataclass(frozen=True)

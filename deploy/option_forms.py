@@ -25,6 +25,7 @@ from eia_sec.common.config.farm.stress import Areas
 from eia_sec.common.config.farm.zones import Zones
 from eia_sec.common.config.maps import FrozenMap
 from eia_sec.common.config.plugin_names import PluginNames
+from eia_sec.common.config.population import PopulationConfig
 from eia_sec.common.spelling import did_you_mean
 
 NUMBERS: Final = {int: "a whole number", float: "a number"}
@@ -37,6 +38,7 @@ SHOWN: Final[Mapping[type, frozenset[str]]] = {
     AlgorithmConfig: frozenset(("name", "hidden", "actor_rate", "entropy_start", "start_policy", "memory")),
     LearnerConfig: frozenset(("device",)),
     EvaluationConfig: frozenset(("farms",)),
+    PopulationConfig: frozenset(("members",)),
 }
 """Settings that `--help` shows; `--help-all` shows the others, too. Of sections without an entry it shows none."""
 
@@ -111,19 +113,26 @@ def _map_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Mapping[str, 
     if info.type_origin is not Mapping:
         return None
     value = get_args(info.type)[1]
+    span = get_origin(value) is tuple
 
     def read(words: list[str]) -> Mapping[str, Any]:
         pairs = [word.partition("=") for word in words]
         if not all(key and equals for key, equals, _ in pairs):
             raise ValueError("needs entries KEY=VALUE, with spaces between")
+        if span:
+            return FrozenMap({key: _span(text) for key, _, text in pairs})
         return FrozenMap({key: _number(value, text) if value in NUMBERS else text for key, _, text in pairs})
 
     def written(entries: Mapping[str, Any]) -> list[str]:
-        return [f"{key}={entry}" for key, entry in entries.items()]
+        return [f"{key}={':'.join(map(str, entry)) if span else entry}" for key, entry in entries.items()]
 
-    return PrimitiveConstructorSpec(
-        "*", f"[KEY={WORDS[value]} ...]", read, lambda held: isinstance(held, Mapping), written
-    )
+    word = "LOW:HIGH" if span else WORDS[value]
+    return PrimitiveConstructorSpec("*", f"[KEY={word} ...]", read, lambda held: isinstance(held, Mapping), written)
+
+
+def _span(text: str) -> tuple[float, ...]:
+    """Return the two numbers of LOW:HIGH."""
+    return tuple(_number(float, part) for part in text.split(":"))
 
 
 def _number(kind: Callable[[str], Any], text: str) -> Any:

@@ -16,7 +16,7 @@ from eia_sec.common import plugins
 from eia_sec.common.config import EnvConfig, RunConfig
 from eia_sec.common.config.effect import switched_off, without_effect
 from eia_sec.common.config.environment import FARM
-from eia_sec.common.config.files import from_toml, with_setting
+from eia_sec.common.config.files import WITH_MAPS, from_toml, with_setting
 from eia_sec.common.config.maps import FrozenMap
 from eia_sec.common.config.presets import PRESETS, preset, preset_for
 from eia_sec.common.errors import ConfigError, UsageError
@@ -31,6 +31,7 @@ SHORT: Final = {
     "--env": "--env.name",
     "--algorithm": "--algorithm.name",
     "--algorithm.network": "--algorithm.network.name",
+    "--population": "--population.members",
 }
 """Short names of options."""
 
@@ -164,8 +165,9 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
             )
         settings = getattr(parsed, "settings", None)
         if isinstance(given, RunConfig) and isinstance(settings, RunConfig):
-            env, algorithm = _with_entries(given.env, settings.env), _with_entries(given.algorithm, settings.algorithm)
-            settings = replace(settings, env=env, algorithm=algorithm)
+            pairs = {name: (getattr(given, name), getattr(settings, name)) for name in WITH_MAPS}
+            merged: dict[str, Any] = {name: _with_entries(*pair) for name, pair in pairs.items()}
+            settings = replace(settings, **merged)
             parsed = replace(parsed, settings=settings)  # type: ignore[type-var]  # a command's options are a dataclass
         if isinstance(settings, RunConfig):
             _refuse_switched_off(settings, _keys(spelt))

@@ -16,6 +16,7 @@ from eia_sec.common.loops import Loop, Running, run
 from eia_sec.common.process import Presence, StopSignal, connect, denial, fetch_configuration
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.epoch_fence import EpochFence
+from eia_sec.common.protocol.keys import KeyFamily
 from eia_sec.common.protocol.messages import (
     CommandMessage,
     Envelope,
@@ -29,7 +30,7 @@ from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
-from eia_sec.elite.evaluation_plan import evaluation_plan
+from eia_sec.elite.evaluation_plan import Plan, evaluation_plan
 from eia_sec.elite.scoring import decide, scores
 
 ANSWER_SECONDS = 30.0
@@ -103,6 +104,16 @@ class Coordinator:
         self._patience = ANSWER_SECONDS
         self._reported = 0.0
 
+    @property
+    def now(self) -> ProgressMessage | None:
+        """The learner's newest progress; None before the first."""
+        return self._now
+
+    @property
+    def can_evaluate(self) -> bool:
+        """Whether it leads a learner that trains, and knows workers that can evaluate its actors."""
+        return self._leads and bool(self._workers) and self._now is not None and self._now.state == "training"
+
     def run(self, stop: StopSignal) -> Loop[None]:
         """Return the loop that coordinates until a stop signal comes or the run is finished."""
         while not stop:
@@ -174,7 +185,7 @@ class Coordinator:
         due = self._schedule.after(now.separate_since).due_episode(number)
         rewards, version, evaluation_steps = self._rewards, now.version, 0
         if self._config.elite.farms:
-            found = yield from self._evaluate(number, now, stop)
+            found = yield from self.evaluate(number, evaluation_plan(self._config, number), now, stop)
             if found is None:
                 return
             rewards, version, evaluation_steps = found
@@ -182,7 +193,7 @@ class Coordinator:
             return
         event = decide(self._team, self._config.elite, number, version, due, rewards, evaluation_steps)
         message = ImitationMessage.of(event, now.epoch)
-        if (yield from self._deliver(message, stop)):
+        if (yield from self.deliver(keys.IMITATION, message.encode(), f"event {number}", stop)):
             self._announcer.put(message.encode())
             self._last = event
             elites = ", ".join(f"{g.name} {e}" for g, e in zip(self._team.groups, event.elites, strict=True))
@@ -193,37 +204,52 @@ class Coordinator:
                 return
             yield from self._pause()
 
-    def _deliver(self, message: ImitationMessage, stop: StopSignal) -> Loop[bool]:
-        """Ask the learner to apply the event; return whether it applied exactly this one.
+    def deliver(self, family: KeyFamily, payload: bytes, what: str, stop: StopSignal) -> Loop[bool]:
+        """Ask the learner to apply an event or a round; return whether it applied exactly this one.
 
-        Only then may the event be announced. An event of this number that the learner had already applied may be a
+        Only then may an event be announced. An event of this number that the learner had already applied may be a
         different one: if its answer to an earlier delivery was lost, a new evaluation may have chosen other elites.
         A learner on policy answers between two iterations, and the lead must not be lost meanwhile.
+
+        Args:
+            family: the keys on which the learner takes it.
+            payload: the message's frame.
+            what: what it is, for the log.
+            stop: ends the wait.
         """
-        key = keys.IMITATION.key(self._options.run)
-        asked = Running(self._bus.asking(key, message.encode(), DELIVER_SECONDS, self._envelope))
+        key = family.key(self._options.run)
+        asked = Running(self._bus.asking(key, payload, DELIVER_SECONDS, self._envelope))
         try:
             while not asked.step():
                 if stop:
-                    log(f"event {message.event} was given up, because this process ends.")
+                    log(f"{what} was given up, because this process ends.")
                     return False
                 yield from self._pause()
             answer = asked.result
             receipt = None if answer is None else ReceiptMessage.decode(answer)
             if answer is None:
-                log(denial(self._bus, self._options.run, key) or f"coordinator: event {message.event} got no answer.")
+                log(denial(self._bus, self._options.run, key) or f"coordinator: {what} got no answer.")
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
-            log(f"coordinator: event {message.event}: {error}")
+            log(f"coordinator: {what}: {error}")
             return False
         if receipt is not None and not receipt.done:
-            log(f"coordinator: the learner refused event {message.event}: {receipt.reason}")
+            log(f"coordinator: the learner refused {what}: {receipt.reason}")
         return receipt is not None and receipt.done and not receipt.reason
 
-    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> Loop[tuple[RewardSums, int, int] | None]:
-        """Return the rewards of noise-free episodes, the oldest version evaluated and the steps; None if abandoned."""
-        farms, episodes = evaluation_plan(self._config, event)
+    def evaluate(
+        self, event: int, plan: Plan, now: ProgressMessage, stop: StopSignal
+    ) -> Loop[tuple[RewardSums, int, int] | None]:
+        """Return the rewards of noise-free episodes, the oldest version evaluated and the steps; None if abandoned.
+
+        Args:
+            event: number of what needs them.
+            plan: the episodes.
+            now: the learner's progress; once its epoch is another one, the evaluation is abandoned.
+            stop: ends the wait.
+        """
+        farms, episodes = plan
         found: dict[int, Float32] = {}
         versions: list[int] = []
         silent: set[str] = set()

@@ -12,17 +12,20 @@ the same points. `OffPolicyTrainer` learns from a replay buffer, `OnPolicyTraine
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, ClassVar, Final
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from eia_sec.common.actors import TeamActors, imitate
+from eia_sec.common.actors import TeamActors, blend, imitate
 from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import CheckpointError, SchemaError
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.population import Exploit, checked_hyperparameters, hyperparameters_of
 from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transitions import Chunk, EpisodeSummary
@@ -31,6 +34,7 @@ from eia_sec.learner.checkpoint.trainer_state import (
     counter,
     episode_record,
     episode_summaries,
+    mapping,
     restored_rewards,
     rewards_record,
 )
@@ -59,6 +63,8 @@ class Trainer(ABC):
         version: number of the newest published parameters; 0 before the first.
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
+        round: newest round of a population that it took part in; 0 before the first.
+        exploits: rounds in which its actors imitated another learner's.
         separate_since: episodes that were finished when agents got actors of their own; None while they share them.
         rewards: of each agent in training, since agents got actors of their own; before that from the beginning.
         recent: the newest finished episodes.
@@ -71,7 +77,7 @@ class Trainer(ABC):
         self.config, self.team = config, team
         usable_device(config.learner.device)
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
-        self.evaluation_steps = 0
+        self.evaluation_steps = self.round = self.exploits = 0
         self.separate_since: int | None = 0
         self.rewards = RewardSums.none(team.agents)
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
@@ -140,7 +146,7 @@ class Trainer(ABC):
     @property
     def changes(self) -> int:
         """A number that changes whenever there are other actors to publish."""
-        return self.updates + self.events
+        return self.updates + self.events + self.exploits
 
     @property
     def between_iterations(self) -> bool:
@@ -184,6 +190,47 @@ class Trainer(ABC):
         self.evaluation_steps += event.evaluation_steps
         return True
 
+    def exploit(self, event: Exploit) -> bool:
+        """Apply a round of a population, unless it has been applied already: imitate, and go on with hyperparameters.
+
+        Value functions, critics and the optimiser's moments do not change.
+
+        Returns:
+            Whether this call applied it.
+
+        Raises:
+            SchemaError: when it does not fit the team or the configuration.
+        """
+        event.check(self.team, self.config)
+        if event.round <= self.round:
+            return False
+        if event.imitates:
+            flat = self.actors().flat
+            for group, own, elite in zip(self.team.groups, flat, event.flat, strict=True):
+                if len(elite) and (elite.shape[1] != own.shape[1] or len(elite) not in (1, len(own))):
+                    raise SchemaError(f"the round's parameters are not those of {group.name} agents.")
+                if not np.isfinite(elite).all():
+                    raise SchemaError("the round's parameters hold a number that is not finite.")
+            for own, elite in zip(flat, event.flat, strict=True):
+                if len(elite):
+                    blend(own, elite, event.rate)
+            self.load_actors(flat)
+            self.exploits += 1
+        self._tune(event.hyperparameters)
+        self.round = event.round
+        self.evaluation_steps += event.evaluation_steps
+        return True
+
+    def _tune(self, values: Mapping[str, float]) -> None:
+        """Go on with other hyperparameters."""
+        if values != hyperparameters_of(self.config):
+            self.config = replace(self.config, algorithm=self.config.algorithm.with_live(values))
+            self.retune()
+
+    @abstractmethod
+    def retune(self) -> None:
+        """Take the options of the configured algorithm that are `live` from `config`, which has others now."""
+
     @abstractmethod
     def snapshot_parts(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
         """Return networks and experience as `snapshot` does, without the counters."""
@@ -201,6 +248,9 @@ class Trainer(ABC):
         plain |= {name: getattr(self, name) for name in COUNTERS}
         plain["recent"] = [episode_record(episode) for episode in self.recent]
         plain |= {"separate_since": self.separate_since, "rewards": rewards_record(self.rewards)}
+        if self.config.population.members:
+            values = hyperparameters_of(self.config)
+            plain["population"] = {"round": self.round, "exploits": self.exploits, "hyperparameters": values}
         return tensors, plain
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -220,11 +270,25 @@ class Trainer(ABC):
         if since is None and self.separate_since is not None:
             raise CheckpointError("the checkpoint's agents share networks, and those of the configuration do not.")
         rewards = restored_rewards(state.get("rewards"), self.team.agents)
+        round_, exploits, values = self._of_population(state)
         self.restore_parts(tensors, state)
         self.separate_since, self.rewards = since, rewards
+        self.round, self.exploits = round_, exploits
+        self._tune(values)
         for name in COUNTERS:
             setattr(self, name, counts[name])
         self.recent = deque(recent, maxlen=RECENT_EPISODES)
+
+    def _of_population(self, state: Mapping[str, Any]) -> tuple[int, int, dict[str, float]]:
+        """Return the round, the exploits and the hyperparameters in a checkpoint's state."""
+        if not self.config.population.members:
+            return 0, 0, {}
+        held = mapping(state, "population")
+        try:
+            values = checked_hyperparameters(self.config, mapping(held, "hyperparameters"))
+        except SchemaError as error:
+            raise CheckpointError(f"the checkpoint's hyperparameters do not fit the configuration: {error}") from error
+        return counter(held, "round"), counter(held, "exploits"), values
 
 
 @contextmanager

@@ -34,6 +34,7 @@ from eia_sec.common.config.farm.observation import ObservationConfig
 from eia_sec.common.config.farm.wind import WindConfig
 from eia_sec.common.config.farm.zones import ZoneConfig
 from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
+from eia_sec.common.config.population import PopulationConfig
 from eia_sec.common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
 __all__ = [
@@ -63,6 +64,7 @@ __all__ = [
     "ObservationConfig",
     "OffPolicyConfig",
     "OnPolicyConfig",
+    "PopulationConfig",
     "RadioConfig",
     "RelayConfig",
     "ReplayConfig",

@@ -15,6 +15,7 @@ SWITCHES: Final = (
     ("elite.", "algorithm.shared_until", 1.0),
     ("algorithm.sequence_", "algorithm.memory", "none"),
     ("env.", "env.name", FARM),
+    ("population.", "population.members", 0),
     ("farm.dynamics.", "farm.dynamics.model", "instant"),
     ("farm.battery.", "farm.battery.capacity", 0.0),
     ("farm.stress.radius", "farm.stress.patches", 0),

@@ -47,6 +47,9 @@ _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
+WITH_MAPS: Final = ("env", "algorithm", "population")
+"""Sections that hold maps."""
+
 _LONG: Final = 8
 """Longest list that a message shows in full."""
 _BUDGETS: Final = ("episodes", "steps")
@@ -272,7 +275,8 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
 
 def _without_maps(config: RunConfig) -> RunConfig:
     """Return the configuration with empty maps."""
-    return dataclasses.replace(config, env=without_entries(config.env), algorithm=without_entries(config.algorithm))
+    sections: dict[str, Any] = {name: without_entries(getattr(config, name)) for name in WITH_MAPS}
+    return dataclasses.replace(config, **sections)
 
 
 def _of_this_format(table: dict[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from eia_sec.common.config.farm import FarmConfig
 from eia_sec.common.config.maps import without_entries
 from eia_sec.common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from eia_sec.common.config.plugin_names import NO_PLUGINS, PluginNames
+from eia_sec.common.config.population import PopulationConfig
 from eia_sec.common.errors import ConfigError
 
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
@@ -126,6 +127,7 @@ class RunConfig:
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    population: PopulationConfig = field(default_factory=PopulationConfig)
     plugins: PluginNames = NO_PLUGINS
     """Plug-ins that its processes load, as `--plugin` named them."""
 
@@ -143,6 +145,7 @@ class RunConfig:
                 raise ConfigError(f"{self.algorithm.name} does not read {section}; leave that section at its defaults.")
         if isinstance(self.algorithm, OffPolicyConfig):
             self._check_replay(self.algorithm.batch)
+        self._check_hyperparameters()
         if self.memory != "none" and self.rollout.chunk_steps % self.on_policy.sequence_steps:
             raise ConfigError(
                 f"rollout.chunk_steps {self.rollout.chunk_steps} must be a multiple of algorithm.sequence_steps "
@@ -156,6 +159,27 @@ class RunConfig:
                 f"replay.capacity {self.replay.capacity} holds no batch of {batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
+
+    def _check_hyperparameters(self) -> None:
+        """Raise ConfigError unless the algorithm can change each while it learns, and its range fits the option."""
+        for name, (low, high) in self.population.hyperparameters.items():
+            if name not in self.algorithm.live:
+                raise ConfigError(
+                    f"population.hyperparameters names {name}, which {self.algorithm.name} cannot change while it "
+                    f"learns; it can change {', '.join(self.algorithm.live)}."
+                )
+            for value in (low, high):
+                self.algorithm.with_live({name: value})
+            if not low <= (begun := getattr(self.algorithm, name)) <= high:
+                raise ConfigError(
+                    f"algorithm.{name} {begun:g}, with which member 0 begins, lies outside population.hyperparameters, "
+                    f"{low:g} to {high:g}."
+                )
+
+    @property
+    def network_seed(self) -> int:
+        """Seed of the initial networks, which the members of a population share: imitation mixes their parameters."""
+        return self.population.seed if self.population.members else self.seed
 
     def progress(self, episodes: int, steps: int) -> float:
         """Return the finished share of the run, 0 to 1.

@@ -9,6 +9,7 @@ This table repeats the declarations below; a test compares the two. ROOT and the
     eval/{worker}                 request  coordinator -> worker    EvaluationOrder, EvaluationResult
     imitation/learner             request  coordinator -> learner   ImitationMessage, ReceiptMessage
     imitation/event               state    coordinator -> everybody ImitationMessage
+    population/learner            request  coordinator -> learner   ExploitMessage, ReceiptMessage
     watch/{worker}                request  watcher -> worker        WatchRequest, WatchTerms
     view/{worker}                 lossy    worker -> watchers       ViewMessage, StepsMessage
     metric/{role}/{name}          lossy    everyone -> everybody    MetricMessage
@@ -155,6 +156,14 @@ IMITATION_EVENT: Final = KeyFamily(
     messages=("ImitationMessage",),
     pace="for each applied event",
 )
+POPULATION: Final = KeyFamily(
+    template="population/learner",
+    delivery="request",
+    sender="coordinator",
+    receiver="learner",
+    messages=("ExploitMessage", "ReceiptMessage"),
+    pace="for each round of a population",
+)
 WATCH: Final = KeyFamily(
     template="watch/{worker}",
     delivery="request",
@@ -231,6 +240,7 @@ FAMILIES: Final = (
     EVALUATION,
     IMITATION,
     IMITATION_EVENT,
+    POPULATION,
     WATCH,
     VIEW,
     METRIC,

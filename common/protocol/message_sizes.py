@@ -30,11 +30,16 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + infos + 4 * team.agents) + state
 
 
+def evaluation_flights(config: RunConfig) -> int:
+    """Return the most episodes of an evaluation: for an imitation event, or for a round of a population."""
+    wanted = (config.elite.farms if config.imitates else 0, config.population.farms if config.population.members else 0)
+    return min(max(wanted), config.rollout.train_farms)
+
+
 def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
-    """Return the bytes of the rewards of an event's evaluation; 0 where an episode's length is not known."""
-    flights = min(config.elite.farms, config.rollout.train_farms)
+    """Return the bytes of the rewards of an evaluation; 0 where an episode's length is not known."""
     fewest, most = environment.episode_steps
-    return 4 * flights * most * environment.team.agents if config.imitates and fewest == most else 0
+    return 4 * evaluation_flights(config) * most * environment.team.agents if fewest == most else 0
 
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
@@ -66,8 +71,9 @@ def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
             f"{most // 2**20} MiB; {remedy}."
         )
     if flights > most:
+        count = evaluation_flights(config)
         raise ConfigError(
-            f"the rewards of {config.elite.farms} flights of {environment.episode_steps[1]} steps with {team.agents} "
+            f"the rewards of {count} flights of {environment.episode_steps[1]} steps with {team.agents} "
             f"agents take {flights / 2**20:.0f} MiB, but a message holds at most {most // 2**20} MiB; lower "
-            "elite.farms."
+            "elite.farms or population.farms."
         )

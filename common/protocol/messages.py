@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.population import Exploit
 from eia_sec.common.protocol.bfloat16 import Bits
 from eia_sec.common.protocol.codec import NO_LIMIT, Message
 from eia_sec.common.protocol.frame import MAX_HEADER
@@ -138,6 +139,8 @@ class ProgressMessage(Message):
             ones. A learner that resumes has those of its checkpoint.
         separate_since: as in the trainer, episodes that were finished when agents got actors of their own; None
             while they share them.
+        round: newest round of a population that it took part in; left out of a run alone, as is the next.
+        hyperparameters: with which a member of a population now learns.
         reward_steps, reward_sums: of agents' rewards in training, see `eia_sec.common.reward_sums`; no sums before the
             first step.
     """
@@ -156,6 +159,8 @@ class ProgressMessage(Message):
     separate_since: int | None = None
     reward_steps: float = 0.0
     reward_sums: NDArray[np.float64] | None = None
+    round: int | None = None
+    hyperparameters: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -209,7 +214,7 @@ class EvaluationOrder(Message):
 
     Attributes:
         epoch: the learner's fencing epoch.
-        event: number of the imitation event that needs them.
+        event: number of the imitation event, or the round of a population, that needs them.
         version: lowest parameter version with which the worker may fly them.
         farms, episodes: farm and episode seeds, one of both for each episode.
     """
@@ -272,6 +277,42 @@ class ImitationMessage(Message):
     def to_event(self) -> ImitationEvent:
         """Return the event, not yet checked against a team."""
         return ImitationEvent(**{name: value for name, value in vars(self).items() if name != "epoch"})
+
+
+@dataclass(frozen=True)
+class ExploitMessage(Message):
+    """What a round of a population means for one member (see `eia_sec.common.population.Exploit`).
+
+    Attributes:
+        epoch: the fencing epoch of the learner that it is for.
+        round: number of the round, from 1.
+        rate: share by which its actors move to those of `flat`.
+        scores: of each member that took part, by its run's name.
+        sources: for each type, the member whose team it imitates, or empty for none.
+        flat: for each type, the actors to imitate, [n_v, P_v] or [1, P_v]; [0, 0] for none.
+        hyperparameters: with which it goes on.
+        evaluation_steps: environment steps that its evaluation took.
+    """
+
+    KIND = 20
+    epoch: int
+    round: int
+    rate: float
+    scores: dict[str, Any]
+    sources: tuple[str, ...]
+    flat: tuple[Float32, ...]
+    hyperparameters: dict[str, Any]
+    evaluation_steps: int
+
+    @classmethod
+    def of(cls, event: Exploit, epoch: int) -> "ExploitMessage":
+        """Return the message of a round."""
+        maps = {name: dict(getattr(event, name)) for name in ("scores", "hyperparameters")}
+        return cls(epoch=epoch, **{**vars(event), **maps})
+
+    def to_event(self) -> Exploit:
+        """Return the round, not yet checked against a team and a configuration."""
+        return Exploit(**{name: value for name, value in vars(self).items() if name != "epoch"})
 
 
 @dataclass(frozen=True)

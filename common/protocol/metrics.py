@@ -116,6 +116,9 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("stopped", "", "why a callback of a plug-in stopped the run, or empty"),
         Metric("malformed_commands", "requests", "requests that were no valid commands and were refused"),
         Metric("imitations_refused", "requests", "requests to imitate that schedule, team or lease exclude"),
+        Metric("round", "", "newest round of the population that it took part in; of a run alone there is none"),
+        Metric("hyperparameters/*", "", "with which a member of a population now learns"),
+        Metric("rounds_refused", "requests", "rounds of a population that the configuration or the lease exclude"),
         Metric(
             "malformed_by/*",
             "requests",
@@ -163,6 +166,12 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "",
             "list of the newest four events, each a map: event, episode (when it was due), version, "
             "rate (vartheta), elites (index by type), scores (omega of each agent by type), evaluation_steps",
+        ),
+        Metric(
+            "exploits",
+            "",
+            "list of the newest four rounds of a population, each a map: round, scores (by member), sources (whom each "
+            "type imitates), rate, hyperparameters, before (those until then), evaluation_steps, and counters",
         ),
         Metric(
             "curves/reward/mean",

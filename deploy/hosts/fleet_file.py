@@ -194,6 +194,8 @@ def read(path: Path) -> FleetSpec:
         fleet = _complete(replace(_table(FleetSpec, table, ""), path=path))
         config = _configuration(fleet)
         require_learners(config, fleet.learner.learners, lockstep=False)
+        if config.population.members:
+            raise ConfigError("a fleet file describes one run, and no population; leave population.members at 0.")
         return replace(fleet, config=config)
     except UsageError as error:
         raise ConfigError(f"{path}: {error}") from error

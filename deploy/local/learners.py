@@ -109,6 +109,8 @@ def require_learners(config: RunConfig, learners: int, *, lockstep: bool) -> Non
     within(1, MOST_LEARNERS, learners=learners)
     if learners == 1:
         return
+    if config.population.members:
+        raise ConfigError("a member of a population has one learner; leave --learners out.")
     if lockstep:
         raise ConfigError("a lockstep run has one learner; leave --learners or --lockstep out.")
     if not config.learns_on_policy:

@@ -43,6 +43,7 @@ class ProcessPlan:
         lockstep, resume, shared_memory: as `eia-sec train` has them.
         tls: folder with a certificate for each process, or None.
         learners: learners that make the updates together; the first one starts the others.
+        coordinated: whether an elite coordinator of its own is started; the members of a population have one together.
     """
 
     config: RunConfig
@@ -56,6 +57,7 @@ class ProcessPlan:
     shared_memory: bool = False
     tls: Path | None = None
     learners: int = 1
+    coordinated: bool = True
 
 
 class TrainingProcesses:
@@ -94,7 +96,8 @@ class TrainingProcesses:
         again = [] if plan.resume or plan.lockstep else ["--resume"]
         self.supervisor.start("learner", learner, plan.config.learner.threads, again)
         joining = [*named, "--run", plan.run, "--connect", where, "--patience", str(JOIN_SECONDS)]
-        self.supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
+        if plan.coordinated:
+            self.supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
         for index in range(plan.workers):
             rollout = [
                 "rollout",
@@ -182,16 +185,24 @@ class TrainingProcesses:
 
     def drain(self, bus: Bus) -> str:
         """Let the learner write a checkpoint and end; return why it refused, or an empty string."""
-        refused = ""
+        refused = self.ask_to_drain(bus)
+        self.await_drained()
+        return refused
+
+    def ask_to_drain(self, bus: Bus) -> str:
+        """Ask the learner to write a checkpoint and end; return why it refused, or an empty string."""
         try:
             bus.ask(keys.COMMAND.key(self._plan.run, verb="drain"), CommandMessage("train").encode(), timeout=3.0)
         except BusError as error:
-            refused = str(error)
+            return str(error)
+        return ""
+
+    def await_drained(self) -> None:
+        """Wait for a learner that was asked to end."""
         deadline = time.monotonic() + DRAIN_SECONDS
         while not self.learner.done and time.monotonic() < deadline:
             self.supervisor.watch()
             time.sleep(0.05)
-        return refused
 
     def raise_failure(self) -> None:
         """Raise the learner's error if it ended for good before the run was over."""

@@ -13,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from eia_sec.deploy.monitor.snapshot import Imitation, LedgerCounts, Snapshot
+from eia_sec.deploy.monitor.snapshot import Imitation, LedgerCounts, Membership, Snapshot
 from eia_sec.deploy.monitor.sparkline import Sparkline
 from eia_sec.deploy.monitor.tables import EventTable, ProcessTable, duration, number
 
@@ -38,10 +38,12 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
     used = 2 + max(8, 2 + len(snapshot.reward) + len(snapshot.freshness)) + 5
     alarms = min(len(snapshot.alarms), max(1, min(MOST_ALARMS, (height - used - 7) // 4)))
     used += alarms + 2 if alarms else 0
+    used += 1 if snapshot.population else 0
     events = snapshot.imitation.newest if height - used >= EVENTS_FROM else ()
     used += len(events) + 3 if events else 0
     parts: list[RenderableType] = [
         _header(snapshot),
+        *([Text(membership(snapshot.population), no_wrap=True, overflow="ellipsis")] if snapshot.population else []),
         _beside(learning, _flow(snapshot), (5, 4)),
         _beside(ledger, _imitation(snapshot.imitation), (3, 2)) if snapshot.imitation.happens else ledger,
         *([_panel("imitation events", EventTable(events))] if events else []),
@@ -64,10 +66,24 @@ def summary(snapshot: Snapshot) -> str:
         f"{number(snapshot.steps_rate)} steps/s",
         f"{number(snapshot.updates_rate)} updates/s",
         f"{duration(snapshot.left)} left" if snapshot.left is not None else "",
+        membership(snapshot.population) if snapshot.population else "",
         *_troubles(snapshot),
         _count(len(snapshot.alarms), "alarm"),
     ]
     return "; ".join(part for part in parts if part)
+
+
+def membership(member: Membership) -> str:
+    """Return what a learner is inside its population, in one line."""
+    parts = [f"round {member.round} of its population"]
+    if member.newest:
+        newest = member.newest[-1]
+        parts.append(f"rank {newest.rank or '-'} of {newest.members}")
+    if imitated := [row for row in member.newest if row.sources]:
+        whom = " ".join(f"{kind} {source}" for kind, source in imitated[-1].sources)
+        parts.append(f"imitated in round {imitated[-1].round}: {whom}, share {imitated[-1].rate:.3g}")
+    parts += [f"{name} {value:.3g}" for name, value in member.hyperparameters]
+    return ", ".join(parts)
 
 
 def _budget(snapshot: Snapshot) -> str:

@@ -207,7 +207,20 @@ def _of_learning(snapshot: Snapshot) -> Iterator[Metric]:
         if score is not None:
             scores.add_metric([snapshot.run, name, str(agent)], score)
     yield scores
+    member = snapshot.population
+    values = _gauge("hyperparameter", "With which a member of a population learns.", "", ("run", "name"))
+    for option, held in member.hyperparameters if member else ():
+        values.add_metric([snapshot.run, option], held)
+    yield values
+    newest = member.newest[-1] if member and member.newest else None
     for name, unit, meaning, value in (
+        (
+            "population_round",
+            "",
+            "Newest round of the population that it took part in.",
+            member.round if member else None,
+        ),
+        ("population_rank", "", "Its rank in that round, 1 for the best.", newest.rank if newest else None),
         ("imitation_events", "", "Imitation events applied.", snapshot.imitation.events),
         ("imitation_rate_ratio", "ratio", "Rate vartheta of the next event.", snapshot.imitation.rate),
         ("lag_versions", "versions", "Age of the newest chunks' policies.", snapshot.staleness),

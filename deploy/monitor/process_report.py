@@ -8,9 +8,9 @@ from typing import Any, Final
 from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.protocol.messages import MetricMessage
-from eia_sec.deploy.monitor.environment_labels import plotted, type_label
+from eia_sec.deploy.monitor.environment_labels import NAME_LENGTH, plotted, type_label
 from eia_sec.deploy.monitor.sanitised import metrics
-from eia_sec.deploy.monitor.snapshot import ImitationRow, LedgerCounts
+from eia_sec.deploy.monitor.snapshot import ImitationRow, LedgerCounts, Membership, RoundRow
 
 RATE_SECONDS: Final = 10.0
 """Time over which rates are computed. It is long because a worker may report no chunk in a second."""
@@ -112,6 +112,7 @@ def _check(values: Mapping[str, Any]) -> None:
     for event in values.get("imitations", []):
         imitation_row(event, values)
     elites_of(values, values)
+    membership_of(values, "")
     for name in ("elites", "waits", "curves"):
         if not isinstance(values.get(name, {}), dict):
             raise SchemaError(f"{name} is not a map.")
@@ -139,6 +140,32 @@ def imitation_row(event: Mapping[str, Any], learner: Mapping[str, Any]) -> Imita
         episode=int(event["episode"]),
         rate=float(event["rate"]),
         elites=elites_of(event, learner),
+    )
+
+
+def membership_of(learner: Mapping[str, Any], run: str) -> Membership | None:
+    """Return what a learner is inside a population, by its metrics; None for a run alone."""
+    if "round" not in learner:
+        return None
+    values = learner.get("hyperparameters", {})
+    return Membership(
+        round=int(learner["round"]),
+        hyperparameters=tuple((str(name)[:NAME_LENGTH], float(value)) for name, value in values.items()),
+        newest=tuple(_round_row(event, learner, run) for event in learner.get("exploits", [])),
+    )
+
+
+def _round_row(event: Mapping[str, Any], learner: Mapping[str, Any], run: str) -> RoundRow:
+    scores = {str(name): float(score) for name, score in event["scores"].items()}
+    score = scores.get(run)
+    sources = event["sources"].items()
+    return RoundRow(
+        round=int(event["round"]),
+        score=score,
+        rank=None if score is None else 1 + sum(other > score for other in scores.values()),
+        members=len(scores),
+        rate=float(event["rate"]),
+        sources=tuple((type_label(learner, kind), str(source)[:NAME_LENGTH]) for kind, source in sources),
     )
 
 

@@ -12,7 +12,14 @@ from eia_sec.common.protocol.messages import Envelope, MetricMessage
 from eia_sec.common.transport.bus import Bus
 from eia_sec.deploy.monitor.alarms import examine
 from eia_sec.deploy.monitor.environment_labels import NAME_LENGTH, plotted, value_of
-from eia_sec.deploy.monitor.process_report import COUNTED, ProcessReport, elites_of, imitation_row, ledger_of
+from eia_sec.deploy.monitor.process_report import (
+    COUNTED,
+    ProcessReport,
+    elites_of,
+    imitation_row,
+    ledger_of,
+    membership_of,
+)
 from eia_sec.deploy.monitor.sanitised import plain
 from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
 from eia_sec.learner.intake.ledger import OTHERS
@@ -171,6 +178,7 @@ class RunMonitor:
             outages=self._sum("outages"),
             step_timeouts=self._sum("step_timeouts"),
             imitation=self._imitation(),
+            population=membership_of(values, self._run),
             processes=rows,
             alarms=(*alarms, *complaints, *self._alarms(values), *_hidden(len(before) - room, self._turned_away)),
         )

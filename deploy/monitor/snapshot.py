@@ -102,6 +102,42 @@ class Imitation:
 
 
 @dataclass(frozen=True)
+class RoundRow:
+    """One round of a population in which the learner took part.
+
+    Attributes:
+        round: its number.
+        score: of this member, omega.
+        rank: of this member by its score, 1 for the best.
+        members: how many took part.
+        rate: share by which its actors moved to those that they imitated; 0 where none did.
+        sources: types that imitated, and the member whose team each imitated.
+    """
+
+    round: int
+    score: float | None
+    rank: int | None
+    members: int
+    rate: float
+    sources: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Membership:
+    """What a learner is inside a population.
+
+    Attributes:
+        round: the newest round in which it took part.
+        hyperparameters: names and present values of those in which members differ.
+        newest: the newest rounds, oldest first.
+    """
+
+    round: int
+    hyperparameters: tuple[tuple[str, float], ...] = ()
+    newest: tuple[RoundRow, ...] = ()
+
+
+@dataclass(frozen=True)
 class ProcessRow:
     """One process of the run.
 
@@ -174,6 +210,7 @@ class Snapshot:
         outages: times that environments of the workers' present starts went away.
         step_timeouts: times that workers were ended and replaced because of `env.step_timeout`.
         imitation: the elite imitation so far.
+        population: what the learner is inside a population; None for a run alone.
         processes: one row for each process.
         alarms: one sentence each.
     """
@@ -200,6 +237,7 @@ class Snapshot:
     outages: int = 0
     step_timeouts: int = 0
     imitation: Imitation = field(default_factory=Imitation)
+    population: Membership | None = None
     processes: tuple[ProcessRow, ...] = ()
     alarms: tuple[str, ...] = ()
 

@@ -217,6 +217,8 @@ def _watch(processes: TrainingProcesses, progress: _Elsewhere, callbacks: Sequen
 
 def _tried(config: RunConfig) -> EnvironmentSpec:
     """Return the run's environment after a trial; raise where it cannot be trained or begun with."""
+    if config.population.members:
+        raise ConfigError("a population is trained by eia-sec train --population; leave population.members at 0.")
     spec = environment_spec(without_timeout(config), trial=True, patience=Outages(threading.Event()))
     config.algorithm.require_types(spec.team.types)
     start_parameters(config, spec.team)

@@ -42,7 +42,7 @@ def follow(group: ProcessGroup) -> None:
     told = ConfigurationMessage.decode(group.broadcast_text())
     config, team = read_saved(told.toml), TeamSpec.from_dict(told.team)
     torch.set_num_threads(config.learner.threads)
-    updates = FollowingUpdates(config.on_policy, team, config.seed, config.learner, group)
+    updates = FollowingUpdates(config.on_policy, team, config.network_seed, config.learner, group)
     updates.most_rows = _most_rows(config)
     log(f"learner {group.rank} of {group.size} follows.")
     with flushed_denormals():

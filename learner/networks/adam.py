@@ -36,17 +36,19 @@ class Adam:
         epsilon: what is added to the root of the second moments.
 
     Attributes:
+        rates: the learning rate of each group; one may change between two steps.
         moments: of each parameter.
     """
 
     def __init__(self, groups: Iterable[tuple[Iterable[Tensor], float]], *, epsilon: float) -> None:
         self._epsilon = epsilon
-        self._groups = [(list(parameters), rate) for parameters, rate in groups]
+        pairs = [(list(parameters), rate) for parameters, rate in groups]
+        self._groups, self.rates = [parameters for parameters, _ in pairs], [rate for _, rate in pairs]
         self.moments = {
             parameter: Moments(
                 torch.zeros((), device=parameter.device), torch.zeros_like(parameter), torch.zeros_like(parameter)
             )
-            for parameters, _ in self._groups
+            for parameters in self._groups
             for parameter in parameters
         }
 
@@ -69,7 +71,7 @@ class Adam:
         adam = torch.ops.aten._fused_adam_
         # Chosen here because torch, while it looks for the fitting one, prints tensors, which ends a capture.
         operation = adam.tensor_lr if isinstance(share, Tensor) else adam.default
-        for parameters, rate in self._groups:
+        for parameters, rate in zip(self._groups, self.rates, strict=True):
             moving = [parameter for parameter in parameters if parameter.grad is not None]
             if not moving:
                 continue

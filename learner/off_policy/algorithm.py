@@ -115,6 +115,12 @@ class Algorithm(ABC, Generic[C]):
         counts = {"each": self.critics_each, "objective": self.objective_critics}
         self.critics = Critics(config, team, seed, like, **counts, cores=cores)
 
+    def retune(self, config: C) -> None:
+        """Go on with other values of the options that are `live`."""
+        self.config = config
+        self.actors.set_rate(config.actor_rate)
+        self.critics.set_rate(config.critic_rate)
+
     def has_target_actors(self) -> bool:
         """Return whether target actors choose the next actions."""
         return False

@@ -50,6 +50,12 @@ class EiaSec(Algorithm[EiaSecConfig]):
         counts = [group.count for group in team.groups for _ in range(group.count)]
         self._type_share = 1.0 / like.new_tensor(counts)
 
+    def retune(self, config: EiaSecConfig) -> None:
+        """See `Algorithm`."""
+        super().retune(config)
+        if self.ensemble is not None:
+            self.ensemble.set_rate(config.critic_rate)
+
     def has_target_actors(self) -> bool:
         """See `Algorithm`."""
         return self.config.target_actor

@@ -89,6 +89,13 @@ class Engine:
         updater = self.algorithm if self._graphs is None else self._graphs
         return updater.update(batch, self._noise, actor_step=actor_step, diagnostics=diagnostics)
 
+    def retune(self, config: OffPolicyConfig) -> None:
+        """Go on with other values of the options that are `live`."""
+        self.config = config
+        self.algorithm.retune(config)
+        if self._graphs is not None:  # they hold the rates
+            self._graphs = CapturedUpdates(self.algorithm)
+
     def observe(self, observation: Float32, reward: Float32) -> None:
         """Add observations [R, O] and rewards [R, agents] to the running statistics, if normalisation is on."""
         if self.normalisation.observations or self.normalisation.rewards:

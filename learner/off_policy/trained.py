@@ -29,6 +29,10 @@ class Trained:
         self._adam = Adam([(networks.parameters(), rate)], epsilon=ADAM_EPSILON)
         self.norms = networks.flat.new_zeros(sum(shape.count for shape in networks.shapes))
 
+    def set_rate(self, rate: float) -> None:
+        """Change the learning rate; the optimiser's moments stay."""
+        self._adam.rates[0] = rate
+
     def zero_grad(self) -> None:
         """Forget all gradients."""
         self._adam.zero_grad()

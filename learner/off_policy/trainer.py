@@ -49,7 +49,7 @@ class OffPolicyTrainer(Trainer):
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         super().__init__(config, team)
         algorithm, device = config.off_policy, config.learner.device
-        self.engine = Engine(algorithm, team, config.seed, device)
+        self.engine = Engine(algorithm, team, config.network_seed, device)
         self.replay = Replay(team, config.replay.capacity, device, steps=algorithm.n_step, discount=algorithm.discount)
         self.random = stream(config.seed, "replay")
         self.diagnostics = RunningDiagnostics(team, device)
@@ -104,6 +104,10 @@ class OffPolicyTrainer(Trainer):
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
         """Replace the actors' parameters, [n_v, P_v] for each type."""
         self.engine.load_actors(flat)
+
+    def retune(self) -> None:
+        """See `Trainer`."""
+        self.engine.retune(self.config.off_policy)
 
     def next_version(self) -> int:
         """Increment the version and return it; rows that are now too old are no longer drawn."""

@@ -68,7 +68,7 @@ class OnPolicyTrainer(Trainer):
         super().__init__(config, team)
         self._algorithm = config.on_policy
         self.separate_since = None if self._algorithm.shared else 0
-        arguments = self._algorithm, team, config.seed, config.learner
+        arguments = self._algorithm, team, config.network_seed, config.learner
         self._updates = Updates(*arguments) if group is None else LeadingUpdates(*arguments, group)
         self.random = stream(config.seed, "minibatches")
         self.experience, self.following = Experience(), Experience()
@@ -84,8 +84,8 @@ class OnPolicyTrainer(Trainer):
 
     @property
     def changes(self) -> int:
-        """Iterations and imitation events; actors in the middle of an iteration are not published."""
-        return self.iterations + self.events
+        """Iterations and imitations; actors in the middle of an iteration are not published."""
+        return self.iterations + self.events + self.exploits
 
     @property
     def iteration(self) -> tuple[int, int]:
@@ -160,6 +160,11 @@ class OnPolicyTrainer(Trainer):
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
         """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
         self._updates.policies.load(flat)
+
+    def retune(self) -> None:
+        """See `Trainer`."""
+        self._algorithm = self.config.on_policy
+        self._updates.retune(self._algorithm)
 
     def snapshot_parts(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
         """Return networks, optimiser, the running iteration and the random state."""

@@ -89,8 +89,8 @@ class Updates:
         self._adam = Adam(groups, epsilon=ADAM_EPSILON)
         # Networks with memory go through sequences, whose number differs from one minibatch to the next. What a
         # plug-in's network does is not known.
-        captures = device != "cpu" and config.memory == "none" and config.module is None
-        self._captured = CapturedUpdates(self._adam.tensors(), len(team.groups)) if captures else None
+        self._captures = device != "cpu" and config.memory == "none" and config.module is None
+        self._captured = self._uncaptured()
         self.diagnostics = IterationDiagnostics(team)
         self._scales = Scales(team, device)
         if config.normalise_observations:
@@ -105,6 +105,17 @@ class Updates:
         self._states: IterationStates | None = None
         self._begun: Rows | None = None
         self.stopped = [False] * len(team.groups)
+
+    def _uncaptured(self) -> CapturedUpdates | None:
+        """Return where the graphs of updates are kept, without any; None where updates are not captured."""
+        return CapturedUpdates(self._adam.tensors(), len(self._team.groups)) if self._captures else None
+
+    def retune(self, config: OnPolicyConfig) -> None:
+        """Go on with other values of the options that are `live`, between two iterations."""
+        self._config = replace(config, shared_until=self._config.shared_until)
+        self.algorithm.config = self._config
+        self._adam.rates[:] = config.actor_rate, config.critic_rate
+        self._captured = self._uncaptured()  # graphs hold the values
 
     def separated(self) -> "Updates":
         """Return the updates in which every agent has networks of its own, copies of its type's.

@@ -2,12 +2,14 @@
 
 import json
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
 from eia_sec.common.clock import monotonic
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.population import Exploit
 from eia_sec.common.team import TeamSpec
 from eia_sec.learner.process.open_file import names_open_file
 
@@ -99,5 +101,25 @@ def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:
         "rate": event.rate,
         "elites": dict(zip(names, event.elites, strict=True)),
         "scores": {name: list(scores) for name, scores in zip(names, event.scores, strict=True)},
+        "evaluation_steps": event.evaluation_steps,
+    }
+
+
+def exploit_record(team: TeamSpec, event: Exploit, before: Mapping[str, float]) -> dict[str, Any]:
+    """Return a round of a population as a record for metrics.jsonl.
+
+    Args:
+        team: the layout of the team.
+        event: what the round meant for this member.
+        before: hyperparameters before it.
+    """
+    sources = zip(team.types, event.sources, strict=True)
+    return {
+        "round": event.round,
+        "scores": dict(event.scores),
+        "rate": event.rate,
+        "sources": {name: source for name, source in sources if source},
+        "hyperparameters": dict(event.hyperparameters),
+        "before": dict(before),
         "evaluation_steps": event.evaluation_steps,
     }

@@ -1,6 +1,7 @@
 """Publishes the learner's parameters and its progress."""
 
 from eia_sec.common.actors import TeamActors
+from eia_sec.common.population import hyperparameters_of
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ParametersMessage, ProgressMessage
 from eia_sec.common.transport.bus import Bus
@@ -56,6 +57,7 @@ class ParameterPublisher:
             arguments: those that environments have from their next episodes on, or empty.
         """
         t = self._trainer
+        member = t.config.population.members > 0
         message = ProgressMessage(
             epoch=self._epoch,
             version=t.version,
@@ -70,5 +72,7 @@ class ParameterPublisher:
             window=terms.window,
             asked_steps=terms.asked_steps,
             arguments=arguments,
+            round=t.round if member else None,
+            hyperparameters=hyperparameters_of(t.config) if member else None,
         )
         self._progress.put(message.encode())

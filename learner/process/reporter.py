@@ -9,16 +9,17 @@ from typing import Any, Final
 from eia_sec.common.config.files import plain_options
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.imitation import ImitationEvent
+from eia_sec.common.population import Exploit
 from eia_sec.common.process import Presence
 from eia_sec.common.protocol.metrics import EPISODIC_RETURN, MEAN_REWARD, flattened, scalars
 from eia_sec.common.transitions import EpisodeSummary
 from eia_sec.learner.process.curves import Curves
-from eia_sec.learner.process.metrics_log import MetricsLog, imitation_record
+from eia_sec.learner.process.metrics_log import MetricsLog, exploit_record, imitation_record
 from eia_sec.learner.process.tensorboard import TensorBoardWriter
 from eia_sec.learner.trainer import Trainer
 
 IMITATIONS: Final = 4
-"""Number of imitation events in a metric message, the newest ones."""
+"""Number of imitation events, and of rounds of a population, in a metric message, the newest ones."""
 MetricSource = Callable[[], Mapping[str, Any]]
 AlarmSource = Callable[[], Sequence[str]]
 
@@ -51,6 +52,7 @@ class Reporter:
         self._tensorboard.configuration(plain_options(trainer.config), (EPISODIC_RETURN, MEAN_REWARD))
         self._curves = Curves(environment.team, trainer.recent)
         self._imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
+        self._exploits: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
         self._metrics: list[MetricSource] = []
         self._alarms: list[AlarmSource] = []
 
@@ -89,6 +91,13 @@ class Reporter:
         self._imitations.append(record)
         self._log.write("imitation", **record)
 
+    def log_exploit(self, event: Exploit, before: Mapping[str, float]) -> None:
+        """Record an applied round of a population, and the hyperparameters before it."""
+        counters = {name: getattr(self._trainer, name) for name in ("episodes", "environment_steps", "updates")}
+        record = {**counters, **exploit_record(self._team, event, before)}
+        self._exploits.append(record)
+        self._log.write("exploit", **record)
+
     def log_end(self, state: str) -> None:
         """Record the learner's final state and the digest of its final actors."""
         self._log.write("end", state=state, episodes=self._trainer.episodes, digest=self._trainer.actors().digest())
@@ -120,6 +129,8 @@ class Reporter:
             metrics |= source()
         alarms = self._current_alarms(metrics["statistics"])
         message = {**metrics, "imitations": list(self._imitations), "environment": self._labels, "alarms": alarms}
+        if t.config.population.members:
+            message["exploits"] = list(self._exploits)
         self._presence.report(message, t.version)
         agents = t.agent_statistics()
         shown = scalars(metrics, self._types) | flattened({"agents": agents})

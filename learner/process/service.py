@@ -1,5 +1,6 @@
 """The learner process: takes in experience, updates, publishes parameters, reports and writes checkpoints."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +17,7 @@ from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, in_thread, run
 from eia_sec.common.policy_file import UNTRAINED
+from eia_sec.common.population import Exploit
 from eia_sec.common.process import Presence, StopSignal, connect
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.chunk_rules import ChunkRules
@@ -41,6 +43,7 @@ from eia_sec.learner.process.options import LearnerOptions
 from eia_sec.learner.process.parameter_publisher import ParameterPublisher
 from eia_sec.learner.process.phase_times import PhaseTimes
 from eia_sec.learner.process.plugin_callbacks import PluginCallbacks
+from eia_sec.learner.process.population_server import PopulationServer
 from eia_sec.learner.process.reporter import Reporter
 from eia_sec.learner.process.schedule import Schedule
 from eia_sec.learner.process.warm_up import warm_up
@@ -99,6 +102,7 @@ class Learner:
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
         self._reporter.add(lambda: {"arguments": self._commands.arguments})
         self._reporter.add(self._imitations.metrics, self._imitations.alarms)
+        self._reporter.add(self._population.metrics, self._population.alarms)
         self._reporter.add(lambda: {"waits": self._times.seconds()})
         self._reporter.add(lambda: {"group": _group_metrics(group)})
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
@@ -147,6 +151,8 @@ class Learner:
         self._imitations = ImitationServer(
             server, self.trainer, ImitationSchedule.of(config), self._commands.lease, self._epoch, self._on_imitation
         )
+        rounds = control.serve(keys.POPULATION.key(run), 4)
+        self._population = PopulationServer(rounds, self.trainer, self._commands.lease, self._epoch, self._on_exploit)
 
     def _open_bulk(self, config: RunConfig, environment: EnvironmentSpec, bulk: Bus, ledger: Ledger) -> None:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)
@@ -254,6 +260,7 @@ class Learner:
         self._commands.answer()
         if self.trainer.between_iterations:
             self._imitations.answer()
+            self._population.answer()
 
     def _stop_if_replaced(self) -> None:
         if self._successor.replaced():
@@ -262,6 +269,11 @@ class Learner:
     def _on_imitation(self, event: ImitationEvent) -> None:
         self._reporter.log_imitation(event)
         self._publish(imitated=self._publisher.unpublished == 1)
+
+    def _on_exploit(self, event: Exploit, before: Mapping[str, float]) -> None:
+        self._reporter.log_exploit(event, before)
+        self._publish(imitated=self._publisher.unpublished == 1)
+        self._checkpoint(wait=True)  # a learner that is killed after its answer goes on with what it has taken over
 
     def _publish(self, *, imitated: bool = False) -> None:
         self._schedule.publish_timer.restart(monotonic())

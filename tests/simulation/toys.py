@@ -186,7 +186,10 @@ class ToyTrainer(Trainer):
     @property
     def changes(self) -> int:
         """Whatever changes the actors that may be published."""
-        return (self.iterations if self._on_policy else self.updates) + self.events
+        return (self.iterations if self._on_policy else self.updates) + self.events + self.exploits
+
+    def retune(self) -> None:
+        """Nothing here depends on hyperparameters."""
 
     @property
     def between_iterations(self) -> bool:

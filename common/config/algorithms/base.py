@@ -1,8 +1,8 @@
 """What all algorithms share."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, make_dataclass
-from typing import ClassVar, Literal, TypeVar, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, make_dataclass, replace
+from typing import ClassVar, Literal, Self, TypeVar, cast
 
 from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.config.checks import not_negative, positive, within
@@ -15,10 +15,12 @@ class AlgorithmConfig:
     Attributes:
         sections: other sections of a configuration that the algorithm reads; see OPTIONAL_SECTIONS.
         discrete_actions: whether the algorithm can train types with discrete actions.
+        live: options that can change while the algorithm learns, as members of a population do with theirs.
     """
 
     sections: ClassVar[tuple[str, ...]] = ()
     discrete_actions: ClassVar[bool] = False
+    live: ClassVar[tuple[str, ...]] = ("actor_rate", "critic_rate")
 
     name: str
     """The algorithm."""
@@ -46,6 +48,10 @@ class AlgorithmConfig:
         within(0.0, 1.0, discount=self.discount, potential_discount=self.potential_discount)
         positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
         not_negative(gradient_clip=self.gradient_clip)
+
+    def with_live(self, values: Mapping[str, float]) -> Self:
+        """Return the options with other values of some that are `live`; raise ConfigError for an impossible one."""
+        return replace(self, **dict(values))  # type: ignore[arg-type]  # every live option is a number
 
     def require_types(self, types: Sequence[str]) -> None:
         """Raise ConfigError where an option names a type of agent that the environment does not have.

@@ -19,6 +19,13 @@ class OnPolicyConfig(AlgorithmConfig):
     """What PPO's forms share: iterations of collecting, estimating advantages and a few epochs of updates."""
 
     discrete_actions: ClassVar[bool] = True
+    live: ClassVar[tuple[str, ...]] = (
+        *AlgorithmConfig.live,
+        "entropy_start",
+        "entropy_end",
+        "clip",
+        "gae_lambda",
+    )
 
     hidden: int = 64
     """Width of both hidden layers of every network, and of its state where it has memory (ours)."""

@@ -5,15 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eia_sec.common.config.checks import within
+from eia_sec.common.errors import UsageError
 from eia_sec.common.names import check_name
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.options import parse
+from eia_sec.elite import population
 from eia_sec.elite.service import CoordinatorOptions, serve
 
 
 @dataclass(frozen=True)
 class EliteArguments:
-    """Start the elite coordinator; it takes the configuration from the learner."""
+    """Start the elite coordinator of a run or of a population; it takes the configuration from the learners."""
 
     run: str = "farm"
     """Name of the run."""
@@ -21,6 +23,8 @@ class EliteArguments:
     """Endpoint where the learner or a router listens."""
     name: str = "coordinator"
     """Name of the coordinator."""
+    members: tuple[str, ...] = ()
+    """Runs of a population, each as RUN=ENDPOINT; in place of --run and --connect."""
     tls: Path | None = None
     """Folder with the coordinator's certificate (`eia-sec keys issue elite NAME`); turns TLS on."""
     patience: float = 60.0
@@ -33,8 +37,24 @@ def command(arguments: Sequence[str]) -> int:
     within(0.0, 1e9, patience=options.patience)
     check_name(options.run, "run")
     check_name(options.name, "name")
-    endpoint = Endpoint.parse(options.connect, options.tls)
+    if options.members:
+        population.serve([_member(options, text) for text in options.members])
+    else:
+        serve(CoordinatorOptions(options.run, _endpoint(options, options.connect), options.name, options.patience))
+    return 0
+
+
+def _member(options: EliteArguments, text: str) -> CoordinatorOptions:
+    """Return how to reach a member of a population that a command line names."""
+    name, equals, where = text.partition("=")
+    if not equals:
+        raise UsageError(f"--members takes RUN=ENDPOINT, member-0=tcp/127.0.0.1:7447 for instance, not {text!r}.")
+    check_name(name, "run")
+    return CoordinatorOptions(name, _endpoint(options, where), options.name, options.patience)
+
+
+def _endpoint(options: EliteArguments, where: str) -> Endpoint:
+    endpoint = Endpoint.parse(where, options.tls)
     if endpoint.credentials is not None:
         endpoint.credentials.require("elite", options.name)
-    serve(CoordinatorOptions(options.run, endpoint, options.name, options.patience))
-    return 0
+    return endpoint

@@ -22,9 +22,11 @@ from eia_sec.common.team import TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.credentials import load
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint, free_endpoint
+from eia_sec.deploy.commands.training.population import PopulationTraining, best_member
 from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.environment_trial import tried
 from eia_sec.deploy.local.learners import refuse_torchrun, require_learners
+from eia_sec.deploy.local.members import FOLDER, Members, member_directories, member_name
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -136,7 +138,9 @@ def command(arguments: Sequence[str]) -> int:
         learners=options.learners,
     )
     asked = command_line(arguments, options, workers)
-    if client is None:
+    if options.settings.population.members:
+        _train_population(plan, options, team, console, asked)
+    elif client is None:
         _train(plan, options, console, asked)
     else:
         with Tracker(client, directory.path, options.settings, team, tell) as tracker:
@@ -179,12 +183,39 @@ def _train(
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
 
 
+def _train_population(
+    plan: ProcessPlan, options: TrainArguments, team: TeamSpec, console: Console, asked: Sequence[str]
+) -> None:
+    """Train a population; once all members have finished, score them and report on the best.
+
+    Args:
+        plan: the processes of one member, in the run directory.
+        options: what the user gave.
+        team: the layout of the team.
+        console: shows the run.
+        asked: the command line, for the report.
+    """
+    root, config = plan.directory, options.settings
+    PopulationTraining(Members(root, plan, team), console).run()
+    if not all(directory.finished() for directory in member_directories(root.path, config)):
+        console.print(f"stopped; resume with: {resume_command(options, root.path)}", highlight=False, soft_wrap=True)
+        return
+    best = best_member(root, config, team, console)
+    if options.report:
+        from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
+
+        write_report(best, best.configuration(), asked, console)
+
+
 def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
     """Return lines with the run directory and the commands that show the run."""
-    lines = [f"run directory: {run}; to watch it from another terminal:"]
+    watched, shown = "it", run
+    if options.settings.population.members:
+        watched, shown = "a member", run / FOLDER / member_name(0)
+    lines = [f"run directory: {run}; to watch {watched} from another terminal:"]
     for reader, where in READERS.items():
         own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        lines.append(f"  eia-sec {reader} {shlex.quote(str(run))}{own}{where}")
+        lines.append(f"  eia-sec {reader} {shlex.quote(str(shown))}{own}{where}")
     return lines
 
 
@@ -195,6 +226,23 @@ def _require_possible(options: TrainArguments) -> None:
         raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
     if options.resume and options.run_dir is None:
         raise UsageError("--resume needs --run-dir.")
+    if options.settings.population.members:
+        _require_population(options)
+
+
+def _require_population(options: TrainArguments) -> None:
+    """Raise ConfigError or UsageError for options that a population does not have."""
+    alone = {
+        "--lockstep": options.lockstep,
+        "--learners": options.learners > 1,
+        "--demonstrations": options.demonstrations is not None,
+        "--track": options.track is not None,
+        "--endpoint": options.endpoint is not None,
+    }
+    if named := [name for name, given in alone.items() if given]:
+        raise UsageError(f"{named[0]} is for a run alone; leave it or --population out.")
+    if options.settings.env.served:
+        raise ConfigError(f"a population cannot share {options.settings.env.name}, which others serve.")
 
 
 def _start(options: TrainArguments, team: TeamSpec) -> StartParameters:

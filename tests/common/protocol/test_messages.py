@@ -14,6 +14,7 @@ from eia_sec.common.protocol.messages import (
     DeliveryMessage,
     EvaluationOrder,
     EvaluationResult,
+    ExploitMessage,
     ImitationMessage,
     MetricMessage,
     ParametersMessage,
@@ -89,6 +90,14 @@ EXAMPLES = [
         parts=np.zeros((2, 3, 7), np.float32),
     ),
 ]
+EXAMPLES.append(
+    ExploitMessage(
+        *(9, 2, 1.0, {"member-0": 0.5, "member-1": 0.25}, ("member-0", "")),
+        flat=(np.ones((2, 3), np.float32), np.zeros((0, 0), np.float32)),
+        hyperparameters={"actor_rate": 0.001},
+        evaluation_steps=40,
+    )
+)
 EXAMPLES.append(
     dataclasses.replace(
         next(message for message in EXAMPLES if isinstance(message, ViewMessage)),

@@ -139,6 +139,7 @@ def test_training_is_resolved(tmp_path):
             SMALL.replace("learner]", "learner]\nlearners = 2") + '[training]\npreset = "eia-sec"\n',
             "eia-sec learns from a replay buffer",
         ),
+        (SMALL + '[training]\nset = ["population.members=2"]\n', "a fleet file describes one run, and no population"),
         (SMALL.replace('= "a"', '= "b"'), "learner.host must be one of the hosts a, not 'b'"),
         (SMALL + '[router]\nhost = "c"\n', "router.host"),
         (SMALL + '[hosts."a b"]\n', "'a b' must be"),

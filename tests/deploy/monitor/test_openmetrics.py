@@ -14,7 +14,7 @@ from prometheus_client.registry import CollectorRegistry
 from eia_sec.common.errors import EndpointError, UsageError
 from eia_sec.deploy.commands.monitoring import monitor
 from eia_sec.deploy.monitor.openmetrics import MOST_REQUESTS, STATES, OpenMetricsServer, RunCollector
-from eia_sec.deploy.monitor.snapshot import Snapshot
+from eia_sec.deploy.monitor.snapshot import Membership, RoundRow, Snapshot
 from tests.deploy.monitor.test_live_view import SNAPSHOT, worker
 from tests.system.fleet import until
 
@@ -77,9 +77,20 @@ def test_every_figure_of_a_snapshot_is_a_sample():
     assert found["eia_sec_process_silence_seconds", "barn", "worker-0", "rollout"] == 0.2
 
 
+def test_a_member_of_a_population_has_a_round_a_rank_and_hyperparameters():
+    """Of a run alone there are none."""
+    rows = (RoundRow(3, 0.5, 2, 4, 0.0),)
+    member = Membership(3, (("actor_rate", 0.002),), rows)
+    found = scraped(text_of(dataclasses.replace(SNAPSHOT, population=member)))
+    assert found["eia_sec_population_round",] == 3
+    assert found["eia_sec_population_rank",] == 2
+    assert found["eia_sec_hyperparameter", "actor_rate"] == 0.002
+    assert not [name for name, *_ in scraped(text_of(SNAPSHOT)) if "population" in name or "hyper" in name]
+
+
 def test_no_field_of_a_snapshot_is_forgotten():
     """A changed field changes the text, but for those that say the same in another way."""
-    said = {"run", "processes", "reward", "freshness", "ledger", "imitation", "alarms", "state"}
+    said = {"run", "processes", "reward", "freshness", "ledger", "imitation", "population", "alarms", "state"}
     same = {"episodes_total", "steps_total", "steps", "steps_rate", "updates_rate", "others"}
     for field in dataclasses.fields(Snapshot):
         if field.name not in said | same:

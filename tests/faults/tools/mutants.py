@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from eia_sec.common.actors import TeamActors
+from eia_sec.common.config import PopulationConfig, RunConfig
 from eia_sec.common.errors import ProtocolError
 from eia_sec.common.farm import METRIC_NAMES
 from eia_sec.common.policy_store import PolicyStore
@@ -30,6 +31,10 @@ MEMORY: Final = 4
 """Numbers in a state."""
 
 
+MEMBER = RunConfig(population=PopulationConfig(members=2, rate=0.5, hyperparameters={"actor_rate": (1e-4, 1e-2)}))
+"""A member of a population."""
+
+
 def samples() -> dict[str, bytes]:
     """Return a whole frame of each kind of message by name, a request of two chunks and an on-policy chunk."""
     flat = TeamActors.initial(TEAM, 4, 0).flat
@@ -46,6 +51,7 @@ def samples() -> dict[str, bytes]:
         messages.EvaluationOrder(1, 1, 1, (1, 2), (3, 4)),
         messages.EvaluationResult(1, 1, np.zeros((1, 2, 2), np.float32), np.ones(1, np.int64)),
         messages.ImitationMessage(1, 1, 1, 10, 0.1, (0,), ((0.5, 0.25),), 10),
+        messages.ExploitMessage(1, 1, 0.5, {"a": 1.0, "b": 2.0}, ("b",), (flat[0],), {"actor_rate": 0.002}, 10),
         messages.PoseMessage(
             *("a_0", 1_700_000_000_000_000, (12.5, 300.0), False, 20.0, (1.0, -2.0), (0.5, 0.0), (), 1e5, ()),
             *(False, 7, "main", 3, ""),
@@ -92,6 +98,8 @@ def _read(kind: type[codec.Message], data: frame.Data) -> None:
         PolicyStore(TEAM).offer_parameters(message)
     elif isinstance(message, messages.ImitationMessage):
         message.to_event().check(TEAM)
+    elif isinstance(message, messages.ExploitMessage):
+        message.to_event().check(TEAM, MEMBER)
     elif isinstance(message, messages.ViewMessage):
         check_view(message, CONFIG.farm, len(REWARD_PARTS))
     elif isinstance(message, messages.StepsMessage):

@@ -1,0 +1,292 @@
+"""The coordinator of a population of learners: scores all members in rounds, and lets weak ones imitate the best.
+
+It is the elite coordinator of each member as well, with a session of its own for each: members need not know of one
+another, and there is no head node. A round waits for the slowest member that takes part, and members train on
+meanwhile. One that is away while a round is held is left out of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from eia_sec.common.clock import monotonic
+from eia_sec.common.config.files import read_saved
+from eia_sec.common.config.run import RunConfig
+from eia_sec.common.errors import CancelledError, EndpointError, ProtocolError
+from eia_sec.common.imitation import LEASE_SECONDS
+from eia_sec.common.log import log
+from eia_sec.common.loops import Loop, Running, run
+from eia_sec.common.population import Exploit, checked_hyperparameters, round_due
+from eia_sec.common.process import StopSignal, fetch_configuration
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import ExploitMessage, ParametersMessage, ProgressMessage
+from eia_sec.common.reward_sums import RewardSums
+from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.transport.bus import Bus
+from eia_sec.elite.evaluation_plan import population_plan
+from eia_sec.elite.rounds import Ranking, perturbed, ranked
+from eia_sec.elite.service import IDLE_SECONDS, Coordinator, CoordinatorOptions
+
+JOIN_SECONDS = 1.0
+"""Pause between two attempts to reach a member."""
+AWAY_SECONDS = 3.0 * LEASE_SECONDS
+"""Time for which a member may be out of reach before a round begins again without it."""
+PATIENCE_SECONDS = 5.0
+"""Time between two lines of the log while a member does not answer."""
+
+
+_NOBODY: Float32 = np.zeros((0, 0), np.float32)
+
+
+class Member:
+    """One member, once it has been reached.
+
+    Args:
+        name: its run's name.
+        coordinator: its elite coordinator.
+        config: its configuration.
+        team: the layout of its team.
+        bus: the session with it.
+    """
+
+    def __init__(self, name: str, coordinator: Coordinator, config: RunConfig, team: TeamSpec, bus: Bus) -> None:
+        self.name, self.coordinator, self.config, self.team = name, coordinator, config, team
+        self._parameters = bus.subscribe_state(keys.PARAMETERS.key(name))
+        self._newest: ParametersMessage | None = None
+        self._malformed = False
+
+    @property
+    def progress(self) -> ProgressMessage | None:
+        """Its progress if it can take part in a round, else None."""
+        self._listen()
+        now = self.coordinator.now
+        if now is None or not self.coordinator.can_evaluate or self._newest is None:
+            return None
+        usable = self._newest.epoch == now.epoch and now.round is not None and now.hyperparameters is not None
+        return now if usable else None
+
+    @property
+    def actors(self) -> tuple[Float32, ...]:
+        """Its newest actors, for each type [n_v or 1, P_v]; nothing before the first."""
+        return () if self._newest is None else self._newest.flat
+
+    def _listen(self) -> None:
+        if (sample := self._parameters.poll()) is None:
+            return
+        try:
+            message = ParametersMessage.decode(sample.payload)
+            fits = message.team == self.team.digest and len(message.flat) == len(self.team.groups)
+            if not fits or not all(flat.ndim == 2 and np.isfinite(flat).all() for flat in message.flat):
+                raise ProtocolError("its parameters are not those of its team.")
+        except ProtocolError as error:
+            if not self._malformed:
+                log(f"population: dropped parameters of {self.name}: {error}")
+            self._malformed = True
+            return
+        self._newest, self._malformed = message, False
+
+
+@dataclass(frozen=True)
+class _Result:
+    """A member's evaluation in a round.
+
+    Attributes:
+        member: who was evaluated.
+        progress: its progress when the round began.
+        rewards: of its agents.
+        steps: environment steps of the evaluation.
+    """
+
+    member: Member
+    progress: ProgressMessage
+    rewards: RewardSums
+    steps: int
+
+
+class Population:
+    """The loops of a population's coordinator.
+
+    Args:
+        options: how to reach each member.
+    """
+
+    def __init__(self, options: Sequence[CoordinatorOptions]) -> None:
+        self._options = options
+        self._members: dict[str, Member] = {}
+        self._held = 0
+        # Until the end: a member may finish while it is told of a round.
+        self._sessions = ExitStack()
+
+    def run(self, stop: StopSignal) -> Loop[None]:
+        """Return the loop that coordinates until a stop signal comes or all members are finished."""
+        with self._sessions:
+            members = [Running(self._joined(options, stop)) for options in self._options]
+            rounds = Running(self._rounds(stop))
+            while members:
+                members = [one for one in members if not one.step()]
+                rounds.step()
+                yield IDLE_SECONDS
+
+    def _joined(self, options: CoordinatorOptions, stop: StopSignal) -> Loop[None]:
+        """Reach a member, and be its elite coordinator until its run is finished."""
+        while not stop:
+            try:
+                bus = Bus.connect(options.endpoint, "control", waiting=lambda: not stop)
+            except CancelledError:
+                return
+            except EndpointError as error:
+                if type(error) is not EndpointError:
+                    raise
+                yield from _pause(JOIN_SECONDS)
+                continue
+            yield from self._coordinated(options, self._sessions.enter_context(bus), stop)
+            return
+
+    def _coordinated(self, options: CoordinatorOptions, bus: Bus, stop: StopSignal) -> Loop[None]:
+        answer = yield from fetch_configuration(bus, options.run, options.name, lambda: not stop, PATIENCE_SECONDS)
+        if answer is None:
+            return
+        config, team = read_saved(answer.toml), TeamSpec.from_dict(answer.team)
+        coordinator = Coordinator(options, config, team, bus)
+        if self._belongs(options.run, config, team):
+            self._members[options.run] = Member(options.run, coordinator, config, team, bus)
+            log(f"population: {options.run} joined.")
+        yield from coordinator.run(stop)
+        if self._members.pop(options.run, None) is not None:
+            log(f"population: {options.run} left.")
+
+    def _belongs(self, name: str, config: RunConfig, team: TeamSpec) -> bool:
+        """Return whether a run can take part beside those that do; log why not."""
+        reason = "" if config.population.members else "its configuration says that it is a run alone"
+        for other in self._members.values():
+            if team != other.team:
+                reason = f"its team is not that of {other.name}"
+            elif config.population != other.config.population:
+                reason = f"its section [population] is not that of {other.name}"
+        if reason:
+            log(f"population: {name} takes no part, because {reason}.")
+        return not reason
+
+    def _rounds(self, stop: StopSignal) -> Loop[None]:
+        """Hold each round when it is due, without end."""
+        while True:
+            yield IDLE_SECONDS
+            present = self._present()
+            if len(present) < 2:
+                continue
+            number = min(
+                round_due(member.config, member.config.progress(now.episodes, now.environment_steps))
+                for member, now in present
+            )
+            held = max(self._held, *(now.round or 0 for _, now in present))
+            if number > held:
+                yield from self._hold(number, present, stop)
+
+    def _present(self) -> list[tuple[Member, ProgressMessage]]:
+        """Return the members that can take part in a round, by name, with their progress."""
+        members = [self._members[name] for name in sorted(self._members)]
+        return [(member, now) for member in members if (now := member.progress) is not None]
+
+    def _hold(self, number: int, present: Sequence[tuple[Member, ProgressMessage]], stop: StopSignal) -> Loop[None]:
+        """Evaluate all members on the same episodes, and tell each what follows; if one leaves meanwhile, give up."""
+        plan = population_plan(present[0][0].config, number)
+        asked = [
+            (member, now, Running(member.coordinator.evaluate(number, plan, now, stop))) for member, now in present
+        ]
+        results: list[_Result] = []
+        seen = {member.name: monotonic() for member, _ in present}
+        while asked:
+            yield IDLE_SECONDS
+            for member, now, running in list(asked):
+                done, current = running.step(), member.progress
+                if current is not None:
+                    seen[member.name] = monotonic()
+                restarted = current is not None and current.epoch != now.epoch
+                if restarted or monotonic() - seen[member.name] > AWAY_SECONDS:
+                    log(f"population: round {number} begins again, because {member.name} is away.")
+                    return
+                if not done:
+                    continue
+                if running.result is None:
+                    log(f"population: round {number} begins again, because {member.name} could not be evaluated.")
+                    return
+                rewards, _, steps = running.result
+                results.append(_Result(member, now, rewards, steps))
+                asked.remove((member, now, running))
+        team, elite = present[0][0].team, present[0][0].config.elite
+        ranking = ranked(team, elite, {result.member.name: result.rewards for result in results})
+        yield from self._tell(number, ranking, results, stop)
+
+    def _tell(self, number: int, ranking: Ranking, results: Sequence[_Result], stop: StopSignal) -> Loop[None]:
+        """Tell each member what the round means for it."""
+        delivered = []
+        for result in results:
+            try:
+                event = _outcome(number, ranking, result, {other.member.name: other for other in results})
+            except ProtocolError as error:
+                log(f"population: round {number} for {result.member.name}: {error}")
+                continue
+            payload = ExploitMessage.of(event, result.progress.epoch).encode()
+            loop = result.member.coordinator.deliver(keys.POPULATION, payload, f"round {number}", stop)
+            delivered.append((result.member, event, Running(loop)))
+        while delivered:
+            yield IDLE_SECONDS
+            for member, event, running in list(delivered):
+                if running.step():
+                    delivered.remove((member, event, running))
+                    if running.result:
+                        self._held = number
+                        log(_sentence(member, event))
+
+
+def _outcome(number: int, ranking: Ranking, result: _Result, results: Mapping[str, _Result]) -> Exploit:
+    """Return what a round means for one member; raise SchemaError if the best one's hyperparameters are impossible."""
+    member, weak = result.member, result.member.name in ranking.weak
+    sources = ranking.sources(member.name)
+    best = results[ranking.best] if weak else result
+    values = checked_hyperparameters(member.config, best.progress.hyperparameters or {})
+    flat = []
+    for kind, (source, (elite, agent)) in enumerate(zip(sources, ranking.elites, strict=True)):
+        found = results[elite].member.actors[kind] if source else _NOBODY
+        if source and result.progress.separate_since is None and len(found) > 1:
+            found = found[agent : agent + 1]  # its agents still share their actors
+        flat.append(found)
+    return Exploit(
+        round=number,
+        rate=member.config.population.rate if any(sources) else 0.0,
+        scores=ranking.scores,
+        sources=sources,
+        flat=tuple(flat),
+        hyperparameters=perturbed(member.config, values, number, member.name) if weak else values,
+        evaluation_steps=result.steps,
+    )
+
+
+def _sentence(member: Member, event: Exploit) -> str:
+    """Return what a round meant for a member."""
+    score = event.scores[member.name]
+    whom = [f"{g.name} of {s}" for g, s in zip(member.team.groups, event.sources, strict=True) if s]
+    values = ", ".join(f"{name} {value:.3g}" for name, value in event.hyperparameters.items())
+    said = f"imitates {', '.join(whom)} with rate {event.rate:.3g}" if whom else "imitates nobody"
+    values = f"; {values}" if values else ""
+    return f"population: round {event.round}: {member.name} scores {score:.4g} and {said}{values}."
+
+
+def _pause(seconds: float) -> Loop[None]:
+    """Wait; the coordinator's own loop takes its steps every IDLE_SECONDS."""
+    for _ in range(max(1, round(seconds / IDLE_SECONDS))):
+        yield IDLE_SECONDS
+
+
+def serve(options: Sequence[CoordinatorOptions]) -> None:
+    """Run the coordinator of a population until all members are finished or a signal comes.
+
+    Raises:
+        UsageError: when a member's configuration cannot be read.
+        ProtocolError: when its answer is malformed.
+    """
+    stop = StopSignal()
+    stop.install()
+    run(Population(options).run(stop))

@@ -1,0 +1,199 @@
+"""The coordinator of a population: it holds rounds over several runs, and goes on where the one before it stopped."""
+
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import from_toml, to_toml, with_values
+from eia_sec.common.loops import Running
+from eia_sec.common.process import StopSignal
+from eia_sec.common.protocol import keys
+from eia_sec.common.protocol.messages import (
+    ConfigurationMessage,
+    EvaluationOrder,
+    EvaluationResult,
+    ExploitMessage,
+    ParametersMessage,
+    ProgressMessage,
+    ReceiptMessage,
+)
+from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.elite.evaluation_plan import population_plan
+from eia_sec.elite.population import Population
+from eia_sec.elite.service import CoordinatorOptions
+from tests.system.fleet import until
+
+TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 3, 2)))
+CONFIG = from_toml(
+    "episodes = 100\n[population]\nmembers = 3\nfarms = 2\ninterval = 0.1\n[population.hyperparameters]\n"
+    "actor_rate = [1e-4, 1e-2]\n",
+    RunConfig(),
+)
+
+
+class FakeMember:
+    """A learner and its worker, as a coordinator sees them.
+
+    Args:
+        number: its number, from which its name, its parameters and its rate follow.
+        worth: what each agent earns in a step.
+        held: what keeps its session.
+    """
+
+    def __init__(self, number, worth, held, config=CONFIG):
+        self.name, self.worth, self.endpoint = f"member-{number}", worth, free_endpoint()
+        self.config = with_values(config, {"seed": number, "algorithm.actor_rate": 1e-3 * (1 + number)})
+        self.rate, self.round, self.episodes, self.state = 1e-3 * (1 + number), 0, 0, "training"
+        self.orders, self.told = [], []
+        self.flat = tuple(np.full((1, 5), number, np.float32) for _ in TEAM.groups)
+        self.bus = held.enter_context(Bus.listen(self.endpoint, "control"))
+        self._commands = self.bus.serve(keys.COMMAND.pattern(self.name), 16)
+        self._rounds = self.bus.serve(keys.POPULATION.key(self.name), 4)
+        self._evaluations = self.bus.serve(keys.EVALUATION.key(self.name, worker="w"), 4)
+        self._token = self.bus.announce(keys.LIVE.key(self.name, role="rollout", name="w"))
+        self._progress = self.bus.publish_state(keys.PROGRESS.key(self.name), keys.PROGRESS.encoding)
+        self._parameters = self.bus.publish_state(keys.PARAMETERS.key(self.name), keys.PARAMETERS.encoding)
+        self._parameters.put(ParametersMessage(4, 1, 0, 0, 0.0, TEAM.digest, 8, "gaussian", self.flat).encode())
+
+    def turn(self):
+        """Answer what has come, and tell the progress."""
+        for command in self._commands.waiting():
+            if command.key.endswith("/configuration"):
+                command.reply(ConfigurationMessage(4, to_toml(self.config), TEAM.to_dict(), lockstep=False).encode())
+            else:
+                command.reply(ReceiptMessage(True, "").encode())
+        for incoming in self._evaluations.waiting():
+            order = EvaluationOrder.decode(incoming.payload)
+            self.orders.append((order.event, order.farms, order.episodes))
+            reward = np.tile(np.array(self.worth, np.float32), (len(order.farms), 4, 1))
+            steps = np.full(len(order.farms), 4, np.int64)
+            incoming.reply(EvaluationResult(order.event, order.version, reward, steps).encode())
+        for incoming in self._rounds.waiting():
+            message = ExploitMessage.decode(incoming.payload)
+            event = message.to_event()
+            event.check(TEAM, self.config)
+            self.told.append(event)
+            self.round, self.rate = event.round, event.hyperparameters["actor_rate"]
+            incoming.reply(ReceiptMessage(True, "").encode())
+        message = ProgressMessage(4, 1, 0, self.episodes, 0, 0, self.state)
+        hyperparameters = {"actor_rate": self.rate}
+        self._progress.put(replace(message, round=self.round, hyperparameters=hyperparameters).encode())
+
+
+class Trial:
+    """Members, and a coordinator that may be replaced."""
+
+    def __init__(self, members):
+        self.members, self._stop = members, StopSignal()
+        self._loop = None
+        self.replace()
+
+    def replace(self):
+        """Start another coordinator in place of the present one."""
+        self.end()
+        self._stop = StopSignal()
+        options = [CoordinatorOptions(member.name, member.endpoint) for member in self.members]
+        self._loop = Running(Population(options).run(self._stop))
+
+    def end(self):
+        """End the present coordinator."""
+        self._stop.event.set()
+        while self._loop is not None and not self._loop.step():
+            pass
+        self._loop = None
+
+    def until(self, condition, what):
+        """Let everybody take turns until a condition holds."""
+
+        def turn():
+            for member in self.members:
+                member.turn()
+            assert not self._loop.step()
+            return condition()
+
+        until(turn, what, 60.0)
+
+    def held(self, number, *members):
+        """Wait until members were told of a round."""
+        self.until(lambda: all(one.told and one.told[-1].round == number for one in members), f"round {number}")
+
+
+@pytest.fixture
+def trial():
+    """Three members; the second is the best, but its agent of type b is not; the last one is the weakest."""
+    with ExitStack() as held:
+        worths = ((1.0, 1.0, 5.0), (6.0, 7.0, 1.0), (0.0, 0.0, 0.0))
+        found = Trial([FakeMember(number, worth, held) for number, worth in enumerate(worths)])
+        yield found
+        found.end()
+
+
+def test_a_round_is_held_when_the_slowest_is_due(trial):
+    """All are scored on the same episodes; the weakest imitates the elite team of each type and takes over the rate."""
+    first, second, weak = trial.members
+    first.episodes = second.episodes = 50
+    trial.until(lambda: not any(one.orders for one in trial.members), "nothing")
+    weak.episodes = 10
+    trial.held(1, *trial.members)
+    assert first.orders == second.orders == weak.orders == [(1, *population_plan(CONFIG, 1))]
+    (event,) = weak.told
+    assert event.sources == ("member-1", "member-0")
+    assert [float(flat[0, 0]) for flat in event.flat] == [1.0, 0.0]
+    assert (event.rate, event.evaluation_steps) == (1.0, 8)
+    assert event.scores == pytest.approx({"member-0": 7 / 3, "member-1": 14 / 3, "member-2": 0.0})
+    assert event.hyperparameters["actor_rate"] in (pytest.approx(2e-3 * 1.2), pytest.approx(2e-3 / 1.2))
+    for other, rate in ((first, 1e-3), (second, 2e-3)):
+        (event,) = other.told
+        assert (event.sources, event.rate, event.hyperparameters) == (("", ""), 0.0, {"actor_rate": rate})
+
+
+def test_another_coordinator_goes_on_with_the_next_round(trial):
+    """It repeats none that members took part in, and of several that are due it holds the newest."""
+    for member in trial.members:
+        member.episodes = 10
+    trial.held(1, *trial.members)
+    trial.replace()
+    for member in trial.members:
+        member.episodes = 35
+    trial.held(3, *trial.members)
+    assert [[event.round for event in member.told] for member in trial.members] == [[1, 3]] * 3
+
+
+def test_a_member_that_has_left_is_not_waited_for(trial):
+    """The others hold their rounds without it; alone, a member holds none."""
+    first, second, third = trial.members
+    third.state = "finished"
+    first.episodes = second.episodes = 20
+    trial.held(2, first, second)
+    assert (third.told, set(first.told[-1].scores)) == ([], {"member-0", "member-1"})
+    assert first.told[-1].sources == ("member-1", "")
+    second.state = "finished"
+    first.episodes = 40
+    seen = []
+    trial.until(lambda: seen.append(1) or len(seen) > 60, "turns")
+    assert [event.round for event in first.told] == [2]
+
+
+def test_a_run_that_is_no_member_takes_no_part(capsys):
+    """Nor one of another population; the log says why."""
+    with ExitStack() as held:
+        other = with_values(CONFIG, {"population.farms": 3})
+        members = [
+            FakeMember(0, (1, 1, 1), held),
+            FakeMember(1, (2, 2, 2), held),
+            FakeMember(2, (0, 0, 0), held, other),
+        ]
+        trial = Trial(members)
+        try:
+            for member in members:
+                member.episodes = 10
+            trial.held(1, *members[:2])
+            trial.until(lambda: "member-2 takes no part" in capsys.readouterr().err or members[2].told, "the log")
+            assert members[2].told == []
+        finally:
+            trial.end()
