@@ -128,6 +128,8 @@ GRANTS: Final = (
     Grant("vehicle", "read", keys.SETPOINT, {"vehicle": NAME}),
     Grant("flight", "read", keys.POSE),
     Grant("flight", "put", keys.SETPOINT),
+    Grant("flight", "answer", keys.WATCH, {"worker": NAME}),
+    Grant("flight", "put", keys.VIEW, {"worker": NAME}),
     *_own("flight"),
     Grant("environment", "answer", keys.ENVIRONMENT, {"environment": NAME}),
     Grant("environment", "appear", keys.ENVIRONMENT_LIVE, {"environment": NAME}),

@@ -25,6 +25,8 @@ This table repeats the declarations below; a test compares the two. ROOT and the
 - lossy: may be dropped; a counter in the message shows gaps.
 - token: Zenoh liveliness; it exists as long as the process is connected.
 
+A flight node is watched as a worker is, under its own name.
+
 A served environment belongs to no run: ENVIRONMENT_ROOT precedes the last two. docs/reference/remote_protocol.md says
 what a program without this package needs to know of them.
 """

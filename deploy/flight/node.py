@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import to_toml
 from eia_sec.common.errors import UsageError
 from eia_sec.common.log import log
 from eia_sec.common.process import Presence, StopSignal
@@ -16,6 +18,9 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.flight.pilot import Pilot
 from eia_sec.deploy.flight.record import FlightRecord
+from eia_sec.rollout.followed_farm import FollowedFarm
+from eia_sec.rollout.worker.collector import StepObserver
+from eia_sec.rollout.worker.view_service import ViewService
 
 WAITING: Final = 16
 """Poses of one vehicle that wait for the next period; the oldest are dropped."""
@@ -57,6 +62,26 @@ def require_absent(bus: Bus, run: str, name: str) -> None:
         raise UsageError(f"a flight node {name} of run {run} is flying; stop it, or stand by with --name spare.")
 
 
+class _Shown:
+    """The map of a flight, as watchers see it; a step that was slept through is not shown.
+
+    Attributes:
+        environments: the map.
+        simulated: steps that were noted.
+        probe: see `eia_sec.rollout.worker.view_service.Watched`.
+    """
+
+    def __init__(self, farm: FollowedFarm) -> None:
+        self.environments, self.simulated = farm, 0
+        self.probe: StepObserver | None = None
+
+    def note(self) -> None:
+        """Note a step of the map, or its beginning."""
+        self.simulated += self.environments.time[0] > 0
+        if self.probe is not None:
+            self.probe.record()
+
+
 class FlightNode:
     """Reads poses, decides and sends set-points, once per period.
 
@@ -78,6 +103,9 @@ class FlightNode:
         encoding = keys.SETPOINT.encoding
         self._outgoing = {name: bus.publish(keys.SETPOINT.key(run, vehicle=name), encoding) for name in flown}
         self._presence = Presence(bus, run, "flight", options.name, options.start)
+        self._shown = _Shown(pilot.map.farm)
+        toml = to_toml(RunConfig(farm=pilot.map.farm.config))
+        self._views = ViewService(bus, run, options.name, options.start, self._shown, toml, role="flight")
         self._reported = 0.0
         self._said: list[str] = []
         self.overruns = 0
@@ -113,9 +141,12 @@ class FlightNode:
                     self._note_pose(vehicle)
         before = self._pilot.map.begun, self._pilot.map.steps
         setpoints = self._pilot.decide(time.time())
-        if self._record is not None and before != (self._pilot.map.begun, self._pilot.map.steps):
-            self._record.farm(self._pilot.map.farm, time.time())
         self._send(setpoints)
+        if before != (self._pilot.map.begun, self._pilot.map.steps):
+            if self._record is not None:
+                self._record.farm(self._pilot.map.farm, time.time())
+            self._shown.note()
+        self._views.poll(0, 0.0, uniform=False)
         if time.monotonic() - self._reported >= REPORT_SECONDS:
             self._report()
 

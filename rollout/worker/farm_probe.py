@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eia_sec.common.protocol.messages import ViewMessage
-from eia_sec.rollout.sim.batch import FarmBatch
+from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.worker.probe import HELD, Probe
 
 
@@ -32,11 +32,12 @@ class FarmProbe(Probe[_Frame, ViewMessage]):
     Args:
         batch: the simulator.
         index: index of the environment.
+        parts: how many of the reward's parts it records, the first ones.
     """
 
-    def __init__(self, batch: FarmBatch, index: int) -> None:
+    def __init__(self, batch: FarmBatch, index: int, parts: int = len(REWARD_PARTS)) -> None:
         super().__init__(batch, index, HELD)
-        self._batch = batch
+        self._batch, self._parts = batch, parts
         slices = batch.team.agent_slices()
         self._starts = [part.start for part in slices]
         self._counts = np.array([part.stop - part.start for part in slices])[None, :, None]
@@ -60,7 +61,7 @@ class FarmProbe(Probe[_Frame, ViewMessage]):
     def _message(self, frames: list[_Frame], skipped: int, noise_std: float, uniform: bool) -> ViewMessage:
         world = self._batch.config.world
         aoi, vdf = np.stack([frame.aoi for frame in frames]), np.stack([frame.vdf for frame in frames])
-        parts = np.stack([frame.parts for frame in frames])
+        parts = np.stack([frame.parts for frame in frames])[..., : self._parts]
         means = np.stack([aoi.mean(axis=1), vdf.mean(axis=(1, 2))], axis=1)
         return ViewMessage(
             farm=frames[0].seeds[0],

@@ -1,4 +1,4 @@
-"""Watching a worker: its watchers, their leases, and the frames of its first environment that it publishes.
+"""Watching a worker or a flight node: its watchers, their leases, and the frames that it publishes.
 
 Nothing is recorded or published unless somebody has asked in the last LEASE_SECONDS. A worker simulates an episode in a
 fraction of a second, but people need many seconds to watch it. So the service shows one whole episode, step by step,
@@ -8,7 +8,7 @@ and pauses until STEPS_PER_SECOND allows the next. Steps in between count as ski
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from eia_sec.common.errors import ConfigError, ProtocolError
 from eia_sec.common.names import check_name
@@ -18,8 +18,9 @@ from eia_sec.common.protocol.view_checks import MOST_AGENT_NAME
 from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus, Incoming
 from eia_sec.rollout.envs.base import Environments
+from eia_sec.rollout.followed_farm import FollowedFarm
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
-from eia_sec.rollout.worker.collector import Collector
+from eia_sec.rollout.worker.collector import StepObserver
 from eia_sec.rollout.worker.farm_probe import FarmProbe
 from eia_sec.rollout.worker.probe import Probe
 
@@ -36,19 +37,38 @@ CAPACITY: Final = 32
 """Requests that may wait."""
 
 
+class Watched(Protocol):
+    """What a process shows: a worker's `Collector`, for instance.
+
+    Attributes:
+        probe: records the first environment while somebody watches, else None.
+    """
+
+    probe: StepObserver | None
+
+    @property
+    def environments(self) -> Environments:
+        """Return the batch, whose first environment is shown."""
+
+    @property
+    def simulated(self) -> int:
+        """Return the steps of all environments so far."""
+
+
 class ViewService:
-    """Publishes frames of a worker's first environment to watchers.
+    """Publishes frames of a process's first environment to watchers.
 
     Args:
         bus: the control lane.
         run: the run's name.
-        worker: the worker's name.
+        worker: the name of the worker or flight node.
         incarnation: number of this start.
-        collector: the collector whose environments are shown.
+        collector: whose environments are shown.
         toml: the run's configuration.
         silence: why no environment's code is to draw pictures, a sentence, or empty.
         note_drawing: see `eia_sec.rollout.envs.pettingzoo_batch.PettingZooBatch`.
         clock: returns seconds.
+        role: rollout or flight.
 
     Attributes:
         shown: frames published.
@@ -62,15 +82,16 @@ class ViewService:
         run: str,
         worker: str,
         incarnation: int,
-        collector: Collector,
+        collector: Watched,
         toml: str,
         silence: str = "",
         note_drawing: Callable[[bool], None] = lambda drawing: None,
         clock: Callable[[], float] = time.monotonic,
+        role: str = "rollout",
     ) -> None:
         self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY, newest=True)
         self._publisher = bus.publish(keys.VIEW.key(run, worker=worker), keys.VIEW.encoding)
-        self._sender = ("rollout", worker, incarnation)
+        self._sender = (role, worker, incarnation)
         self._collector, self._clock = collector, clock
         self._probe, self._terms = _probe(collector.environments, toml, silence, note_drawing)
         self._until: dict[str, float] = {}
@@ -178,7 +199,9 @@ def _probe(
     """Return what records a worker's first environment, and the terms of watching it."""
     terms = WatchTerms(toml, (), LEASE_SECONDS, STEPS_PER_SECOND)
     if isinstance(environments, FarmBatch):
-        return FarmProbe(environments, 0), replace(terms, part_names=REWARD_PARTS).encode()
+        # Nobody tells what vehicles used and saw, so there are no rewards.
+        names: tuple[str, ...] = () if isinstance(environments, FollowedFarm) else REWARD_PARTS
+        return FarmProbe(environments, 0, len(names)), replace(terms, part_names=names).encode()
     from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
     from eia_sec.rollout.worker.environment_probe import EnvironmentProbe  # noqa: PLC0415  (likewise)
 

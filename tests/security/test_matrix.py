@@ -110,7 +110,7 @@ def test_a_vehicle_writes_its_own_poses_alone_and_nobody_but_the_flight_node_set
     sent = [pair for pair in only.expressions("uav-7", "run") if pair[0] in sends]
     assert sent == [("put", f"{keys.ROOT}/run/flight/uav-7/pose")]
     assert {role for role in ROLES if any(g.family == keys.SETPOINT for g in held[role])} == {"flight"}
-    assert {g.family for g in held["flight"]} == {keys.SETPOINT, keys.METRIC, keys.LIVE}
+    assert {g.family for g in held["flight"]} == {keys.SETPOINT, keys.METRIC, keys.LIVE, keys.WATCH, keys.VIEW}
 
 
 def test_an_environment_answers_and_appears_under_its_own_name_and_workers_and_learner_alone_ask_it():

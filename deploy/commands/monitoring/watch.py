@@ -1,4 +1,4 @@
-"""`eia-sec watch`: one worker's first environment, live in the browser."""
+"""`eia-sec watch`: one worker's first environment, or a flight, live in the browser."""
 
 import logging
 import sys
@@ -27,7 +27,7 @@ TICK_SECONDS: Final = 0.04
 
 @dataclass(frozen=True)
 class WatchArguments:
-    """Watch a worker's farm or other environment in the browser; it is published only while a page is open."""
+    """Watch a worker's environment or a flight in the browser; it is published only while a page is open."""
 
     run_dir: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN_DIR]")] = None
     """Directory of a run of this machine. Default: the run that trains here."""
@@ -37,7 +37,7 @@ class WatchArguments:
     """Endpoint where the learner or a router listens. Default: that of the run of this machine, else
     tcp/127.0.0.1:7447."""
     worker: str | None = None
-    """Name of the worker. Default: the first one that is alive."""
+    """Name of the worker or flight node. Default: the first one that is alive."""
     host: str = "127.0.0.1"
     """Address to serve the page on."""
     port: int = 8347

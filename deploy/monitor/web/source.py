@@ -1,4 +1,4 @@
-"""The Zenoh side of `eia-sec watch`: subscribes to a worker's first environment and checks the messages."""
+"""The Zenoh side of `eia-sec watch`: subscribes to a worker's first environment, or to a flight, and checks it."""
 
 import os
 import time
@@ -52,6 +52,7 @@ class Source:
         self._name = f"watch-{os.getpid()}-{time.time_ns() % 10**9}"
         self._alive = bus.watch(keys.LIVE.pattern(run), 256)
         self._living: set[str] = set()
+        self._flights: set[str] = set()
         self._learners: set[str] = set()
         self._met = False
         self._views: Subscription | None = None
@@ -78,7 +79,7 @@ class Source:
             self.leave()
             return
         self._choose()
-        if self.worker in self._living:
+        if self.worker in self._shown_by:
             self._keep_asking(self.worker, now)
         if self._views is not None:
             for sample in self._views.drain():
@@ -101,7 +102,7 @@ class Source:
     def _look_around(self) -> None:
         for sample in self._alive.drain():
             role, name = sample.key.split("/")[-2:]
-            found = {"rollout": self._living, "learner": self._learners}.get(role)
+            found = {"rollout": self._living, "flight": self._flights, "learner": self._learners}.get(role)
             if found is None:
                 continue
             if not is_name(name) or (sample.present and len(found) >= MOST_WORKERS):
@@ -114,24 +115,32 @@ class Source:
         """Take the worker that a browser wants to see; else keep one that is alive, or take the first."""
         name: str | None
         wanted, self._hub.wanted = self._hub.wanted, None
-        if wanted is not None and wanted in self._living:
+        if wanted is not None and wanted in self._shown_by:
             self._wanted, name = wanted, wanted
-        elif self.worker in self._living:
+        elif self.worker in self._shown_by:
             return
         else:
-            name = self._wanted or min(self._living, key=_order, default=None)
+            name = self._wanted or min(self._shown_by, key=_order, default=None)
         if name != self.worker and name is not None:
             self.leave()
             self.worker, self._known, self._shown = name, None, None
             self._views = self._bus.subscribe(keys.VIEW.key(self._run, worker=name), CAPACITY)
             self._newest = (0, 0)
-        if name is None or name not in self._living:
+        if name is None or name not in self._shown_by:
             self._asking, self._asked = None, float("-inf")
             self._say(self._absent())
 
+    @property
+    def _shown_by(self) -> set[str]:
+        """Workers and flight nodes that are alive."""
+        return self._living | self._flights
+
+    def _called(self, name: str) -> str:
+        return f"{'Flight node' if name in self._flights else 'Worker'} {name}"
+
     def _absent(self) -> str:
         """Return why there is nobody to watch."""
-        if not (self._learners or self._living):
+        if not (self._learners or self._shown_by):
             return f"Run {self._run} has ended." if self._met else f"Waiting for run {self._run}: none of it is there."
         return f"Waiting for {f'worker {self._wanted}' if self._wanted else 'a worker'} of run {self._run}."
 
@@ -154,7 +163,7 @@ class Source:
         except (BusError, ProtocolError, UsageError, ArithmeticError, ValueError) as error:
             self._asking = None
             self._lease = max(self._lease, ANSWER_SECONDS)
-            self._say(f"Worker {worker}: {error}", wrong=True)
+            self._say(f"{self._called(worker)}: {error}", wrong=True)
 
     def _answered(self, worker: str, answer: bytes | None, now: float) -> None:
         if answer is not None:
@@ -165,7 +174,8 @@ class Source:
         quick = now - self._asked < QUICK_SECONDS
         refused = denial(self._bus, self._run, keys.WATCH.key(self._run, worker=worker)) if quick else None
         self._say(
-            refused or (f"Worker {worker} is starting." if quick else self._busy(worker, now)), wrong=bool(refused)
+            refused or (f"{self._called(worker)} is starting." if quick else self._busy(worker, now)),
+            wrong=bool(refused),
         )
 
     def _say(self, sentence: str, wrong: bool = False) -> None:
@@ -174,8 +184,8 @@ class Source:
 
     def _busy(self, worker: str, now: float) -> str:
         if self._shown is None:
-            return f"Worker {worker} is busy; it has shown nothing yet."
-        return f"Worker {worker} is busy; last frame {now - self._shown:.0f} s ago."
+            return f"{self._called(worker)} is busy; it has shown nothing yet."
+        return f"{self._called(worker)} is busy; last frame {now - self._shown:.0f} s ago."
 
     def _agree(self, worker: str, terms: WatchTerms) -> None:
         """Take the worker's answer; another environment starts the picture over."""
@@ -190,7 +200,8 @@ class Source:
             return
         try:
             envelope = Envelope.decode(sample.attachment)
-            if (envelope.role, envelope.name) != ("rollout", self.worker):
+            role = "flight" if self.worker in self._flights else "rollout"
+            if (envelope.role, envelope.name) != (role, self.worker):
                 raise SchemaError("the envelope names another sender than the key.")
             packet, self.skipped = self._view.frames(sample.payload, envelope.version)
         except (ProtocolError, ConfigError):
@@ -211,7 +222,7 @@ class Source:
             "malformed": self.malformed,
             "skipped": self.skipped,
             "worker": self.worker,
-            "workers": sorted(self._living, key=_order)[:MOST_OFFERED],
+            "workers": sorted(self._shown_by, key=_order)[:MOST_OFFERED],
         }
         self._hub.report(packets.state(self._sentence, fields))
 

@@ -58,6 +58,7 @@ export class Farm {
   }
 
   makeRows() {
+    for (const card of ["reward-card", "parts-card"]) by(card).hidden = !this.scene.parts.length; // as in a flight
     const body = by("reward").tBodies[0];
     body.replaceChildren();
     for (const type of [...this.scene.types, null]) {

@@ -126,6 +126,19 @@ def test_a_run_that_has_ended_is_said_to_have_ended(scene):
     assert tend(times=3)["sentence"] == ""
 
 
+def test_a_flight_node_is_called_one(scene):
+    """It is shown like a worker, by its own frames alone: those of a worker of its name are not drawn."""
+    bus, source, _, tend, got = scene()
+    bus.live("flight", "w")
+    bus.answers = False
+    assert tend(times=4)["sentence"] == "Flight node w is busy; it has shown nothing yet."
+    bus.answers = True
+    assert tend(times=2)["workers"] == ["w"]
+    bus.show(a_view(), 1)
+    tend(0.1)
+    assert (source.malformed, [entry["kind"] for entry in got].count("frames")) == (1, 0)
+
+
 def test_what_is_wrong_is_marked(scene):
     """A refusal is a fault, unlike waiting."""
     bus, _, _, tend, _ = scene()
