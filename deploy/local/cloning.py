@@ -14,9 +14,6 @@ from eia_sec.rollout.start_policy import ALL
 
 FILE: Final = "cloned.safetensors"
 """The cloned policy in the run directory."""
-VALUE_ITERATIONS: Final = 4
-"""Iterations at a run's start from which value functions alone learn, unless `value_steps` says something else: PPO
-whose value functions know nothing would spoil what was cloned."""
 
 
 class Clones:
@@ -45,9 +42,13 @@ class Clones:
         self._actors, self._probability = cloned(config, team, self._found.observation, self._found.action)
 
     def settings(self, run_dir: Path) -> RunConfig:
-        """Return the run's configuration, in which it begins as the clones."""
+        """Return the run's configuration, in which it begins as the clones.
+
+        From the first iteration value functions alone learn, unless `value_steps` says something else: PPO whose value
+        functions know nothing might spoil what was cloned, and every further iteration only takes steps.
+        """
         algorithm = self._config.on_policy
-        steps = algorithm.value_steps or VALUE_ITERATIONS * algorithm.iteration_steps
+        steps = algorithm.value_steps or algorithm.iteration_steps
         place = str((run_dir / FILE).absolute())
         return with_values(self._config, {f"algorithm.start_policy.{ALL}": place, "algorithm.value_steps": steps})
 

@@ -52,7 +52,7 @@ def test_a_run_begins_as_the_clones(tmp_path, demonstrations):
     clones = Clones(COVER, team, demonstrations, resume=False)
     config = clones.settings(tmp_path)
     assert config.on_policy.start_policy["all"] == str(tmp_path / FILE)
-    assert config.on_policy.value_steps == 4 * config.on_policy.iteration_steps
+    assert config.on_policy.value_steps == config.on_policy.iteration_steps
     assert "cloned from 1,280 steps" in clones.save(tmp_path)
     actors, metadata = load_policy(tmp_path / FILE)
     assert metadata["environment"] == "mytask.env:Cover"
