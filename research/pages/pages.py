@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from eia_sec.deploy.cli import COMMANDS
-from eia_sec.deploy.reports.farm_plots import draw_densities
 from research.pages import (
     algorithm_tables,
     environment_protocol_tables,
@@ -22,6 +21,7 @@ from research.pages import (
 )
 from research.pages.blocks import Block, replaced, table
 from research.pages.configuration_tables import configuration_tables
+from research.pages.densities import draw_densities
 from research.pages.measurements import measured
 
 
