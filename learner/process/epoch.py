@@ -1,22 +1,9 @@
-"""The learner's fencing epoch: each later start of a run's learner has a higher one."""
+"""The learner's fencing epoch, which is the incarnation of its start: each later start of a run's has a higher one."""
 
 from eia_sec.common.errors import ProtocolError
-from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ProgressMessage
 from eia_sec.common.transport.bus import Bus
-
-
-def next_epoch(last: int) -> int:
-    """Return the epoch of a new start of the learner.
-
-    It is the incarnation of this start, see `eia_sec.common.incarnation`. It grows even if the clock was set back, and
-    two copies of one run directory start with different epochs.
-
-    Args:
-        last: the highest epoch known from the checkpoint and the history; 0 for none.
-    """
-    return new_incarnation(last)
 
 
 class SuccessorWatch:

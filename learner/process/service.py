@@ -14,6 +14,7 @@ from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import BusError, DivergenceError, EiaSecError, SchemaError, UsageError
 from eia_sec.common.history.history import History
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
+from eia_sec.common.incarnation import new_incarnation
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, in_thread, run
 from eia_sec.common.policy_file import UNTRAINED
@@ -36,7 +37,7 @@ from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.intake.limits import IntakeLimits
 from eia_sec.learner.intake.receiver import Receiver
 from eia_sec.learner.process.command_server import CommandServer
-from eia_sec.learner.process.epoch import SuccessorWatch, next_epoch
+from eia_sec.learner.process.epoch import SuccessorWatch
 from eia_sec.learner.process.imitation_server import ImitationServer
 from eia_sec.learner.process.membership import Membership
 from eia_sec.learner.process.options import LearnerOptions
@@ -135,7 +136,7 @@ class Learner:
                 self.trainer.begin_with(start)
             self._storage.write_policy(self.trainer, UNTRAINED)
         self._history = History(directory / HISTORY if directory else None)
-        self._epoch = next_epoch(max(epoch, last_epoch(self._history.before)))
+        self._epoch = new_incarnation(max(epoch, last_epoch(self._history.before)))
         recover_losses(self._history, ledger, self._epoch, resumed=resume)
         return ledger, elapsed
 

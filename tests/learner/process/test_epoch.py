@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import pytest
 
 from eia_sec.common.history.history import History, Start
-from eia_sec.common.incarnation import STRIDE
+from eia_sec.common.incarnation import STRIDE, new_incarnation
 from eia_sec.common.protocol.messages import ProgressMessage
 from eia_sec.learner.checkpoint.recovery import last_epoch
 from eia_sec.learner.checkpoint.storage import RunStorage
 from eia_sec.learner.intake.ledger import Ledger
 from eia_sec.learner.off_policy.trainer import OffPolicyTrainer
-from eia_sec.learner.process.epoch import SuccessorWatch, next_epoch
+from eia_sec.learner.process.epoch import SuccessorWatch
 from eia_sec.learner.process.service import HISTORY, Learner
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM
 
@@ -48,8 +48,8 @@ def test_the_epoch_grows_although_the_clock_was_set_back(tmp_path, monkeypatch, 
 def test_two_copies_of_a_run_directory_get_different_epochs():
     """Both know the same last epoch, which is ahead of both clocks; one of the two learners has to be the newer one."""
     last = 2**61
-    assert len({next_epoch(last) for _ in range(20)}) > 1
-    assert all(last < next_epoch(last) <= last + STRIDE for _ in range(20))
+    assert len({new_incarnation(last) for _ in range(20)}) > 1
+    assert all(last < new_incarnation(last) <= last + STRIDE for _ in range(20))
 
 
 def test_only_starts_of_the_learner_count(tmp_path):
