@@ -8,8 +8,8 @@ from matplotlib.image import imread
 
 from eia_sec.common.config.files import read_saved
 from eia_sec.common.config.presets import PRESETS
-from research.pages.blocks import marks, names, replaced
-from research.pages.pages import FILES, PAGES, main, refreshed
+from research.pages.blocks import names
+from research.pages.pages import FILES, PAGES, refreshed
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -31,20 +31,6 @@ def test_every_page_with_marks_is_refreshed():
     assert marked == set(PAGES)
 
 
-def test_a_block_replaces_only_itself():
-    """What stands before and after the marks stays, and an old block does not."""
-    begin, end = marks("x")
-    assert replaced(f"before\n{begin}\nold\n{end}\nafter", "x", "new\n") == f"before\n{begin}\nnew\n{end}\nafter"
-
-
-@pytest.mark.parametrize("text", ["no marks", "{end} {begin}", "{begin} {begin} {end}", "{begin}"])
-def test_a_page_without_its_marks_is_refused(text):
-    """A missing, repeated or swapped mark is an error, so that no block is dropped or written over prose."""
-    begin, end = marks("x")
-    with pytest.raises(ValueError, match="has no block x"):
-        replaced(text.format(begin=begin, end=end), "x", "new")
-
-
 def test_pictures_are_up_to_date(tmp_path):
     """Every picture that follows from the code equals the committed one."""
     for name, draw in FILES.items():
@@ -55,15 +41,6 @@ def test_pictures_are_up_to_date(tmp_path):
         assert drawn.shape == kept.shape, "run `make docs`"
         # Fonts differ a little from machine to machine; one farm in another place would change more than this.
         assert np.abs(drawn - kept).mean() < 0.002, "run `make docs`"
-
-
-def test_the_generator_refuses_a_folder_that_is_no_repository(tmp_path, monkeypatch):
-    """Nothing is written there."""
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        main(["nowhere"])
-    assert stop.value.code == 2
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["default", "eia-sec"])

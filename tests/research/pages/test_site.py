@@ -59,19 +59,6 @@ def test_named_source_files_exist():
     assert {page: missing for page, text in texts.items() if (missing := missing_files(text, tracked))} == {}
 
 
-def test_a_missing_file_is_found():
-    """A file is known by its path or by the end of it, and anything else is missing."""
-    assert missing_files("`a/b.py` `b.py` `c.py` `x/b.py` `a/NAME.py`", {"a/b.py"}) == ["c.py", "x/b.py"]
-
-
-def test_a_broken_link_is_found(tmp_path):
-    """A link to a missing file and one to a missing heading are found; links in code and to other sites are not."""
-    (tmp_path / "other.md").write_text("# One heading: here\n")
-    page = tmp_path / "page.md"
-    page.write_text("[a](no.md) [b](other.md#no) [c](other.md#one-heading-here) `[d](no)` [e](https://x.y)\n")
-    assert broken_links(page) == ["no.md", "other.md#no"]
-
-
 class Anchors(HTMLParser):
     """The targets and the links of a page."""
 
@@ -125,13 +112,6 @@ def test_every_link_of_the_site_leads_somewhere(site):
     """Those to README, to notebooks and to results, too; strict builds do not look outside docs/."""
     assert (site / "project" / "index.html").is_file()
     assert broken_on_site(site) == {}
-
-
-def test_a_broken_link_of_a_site_is_found(tmp_path):
-    """To a file that is missing, and to an anchor that is missing; those elsewhere are not looked at."""
-    (tmp_path / "a.html").write_text('<p id="x"><a href="b.html#y"></a><a href="#x"></a><a href="https://z"></a>')
-    (tmp_path / "b.html").write_text('<a href="a.html#x"></a><img src="no.png"><a href="a.html#no"></a>')
-    assert broken_on_site(tmp_path) == {"a.html": ["b.html#y"], "b.html": ["no.png", "a.html#no"]}
 
 
 def test_every_setting_is_found_by_itself(site):
