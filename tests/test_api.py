@@ -217,6 +217,7 @@ class Broken(eia_sec.Callback):
         raise KeyError("nothing")
 
 
+@pytest.mark.slow
 def test_what_a_script_defines_is_trained_there_and_nowhere_else(tmp_path):
     """A script's class trains in its own process; with workers, which cannot import it, one sentence says so."""
     script = tmp_path / "script.py"

@@ -40,6 +40,7 @@ def kept_in(folder: Path) -> tuple[Path, str]:
     return Path(done.stdout.strip()), done.stderr
 
 
+@pytest.mark.slow
 def test_code_is_kept_in_a_folder_of_this_user(tmp_path: Path) -> None:
     """The next process finds the same folder; nobody else may enter it, and the log says where it is."""
     folder, said = kept_in(tmp_path)

@@ -106,6 +106,7 @@ def test_who_is_ended_while_it_waits_has_not_failed(capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_sigterm_ends_a_command_that_does_not_handle_it():
     """With 128 + SIGTERM, after what the command had begun was ended."""
     script = (
@@ -118,6 +119,7 @@ def test_sigterm_ends_a_command_that_does_not_handle_it():
         assert process.wait(30.0) == 143
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_while_options_are_parsed_is_no_mistake_of_the_user(number, code):
     """The exit code is that of the signal, so that a supervisor starts the command again."""
@@ -130,6 +132,7 @@ def test_a_signal_while_options_are_parsed_is_no_mistake_of_the_user(number, cod
     assert (done.returncode, "invalid command line" in done.stderr) == (code, False)
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_an_import_prints_one_line(tmp_path):
     """A command's module takes seconds to load; Ctrl-C meanwhile leaves no traceback of somebody's import."""
     (tmp_path / "slow.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
@@ -141,6 +144,7 @@ def test_ctrl_c_during_an_import_prints_one_line(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "eia-sec: interrupted.\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_changes_no_exit_code(closed, tmp_path):
     """With standard streams closed by the caller a command does its work; no file of its own takes their numbers."""

@@ -41,6 +41,7 @@ def test_lines_on_a_full_disk_are_lost_and_counted(monkeypatch):
         console.print("five")
 
 
+@pytest.mark.slow
 def test_a_command_whose_output_finds_no_room_says_so():
     """One sentence and exit code 1, and no traceback at the interpreter's end."""
     with open("/dev/full", "wb") as full:

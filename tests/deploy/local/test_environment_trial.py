@@ -65,6 +65,7 @@ def test_modules_of_the_working_directory_are_not_found(tmp_path, monkeypatch, c
     assert "the wrong one" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP, signal.SIGTERM])
 def test_a_trial_ends_with_the_command(number, tmp_path, monkeypatch):
     """However the command ends, a hanging trial ends too, and its folder is gone."""

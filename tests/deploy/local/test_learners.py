@@ -113,6 +113,7 @@ def test_learners_that_meet_on_this_machine_listen_on_loopback(monkeypatch, plac
     assert (os.environ[INTERFACE] in ("lo", "lo0")) == near
 
 
+@pytest.mark.slow
 def test_a_follower_whose_leader_has_ended_does_not_wait(tmp_path):
     """It ends at once with the code of a broken group."""
     places = {"RANK": "1", "WORLD_SIZE": "2", STORE: str(tmp_path / "store"), LEADER: str(2**30)}

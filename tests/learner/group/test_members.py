@@ -58,6 +58,7 @@ def test_who_does_not_know_the_store_is_no_member(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_follower_bears_a_silent_leader(tmp_path):
     """A leader that loads or saves for longer than it waits itself finds its followers in their places."""
     with group_of(2, tmp_path, "impatient") as (group, (follower,)):

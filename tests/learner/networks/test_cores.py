@@ -49,6 +49,7 @@ def test_shares_are_all_of_it_and_about_as_large(costs, cores):
     assert max(parts) <= sum(costs) / len(parts) + max(costs)
 
 
+@pytest.mark.slow
 def test_two_cores_train_as_one_does():
     """Twenty updates with threads of their own on two cores end where they end on one."""
     found = []

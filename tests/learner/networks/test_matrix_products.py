@@ -87,6 +87,7 @@ def test_training_ends_where_whole_products_do(monkeypatch, name):
         torch.testing.assert_close(end, ends[-1], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_benchmark_reports_every_kind_of_product():
     """The command prints JSON with a speed for each product, cut and whole."""
     command = [sys.executable, "-m", "research.benchmarks.products", "--repeats", "2", "--widths", "16"]

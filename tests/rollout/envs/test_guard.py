@@ -144,6 +144,7 @@ def test_a_user_who_ends_the_process_past_everything_is_named(after):
     assert toy_env.Relay.closed == after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("thread", "code", "said"), [(True, 1, "toy_faults:Leaving: a thread of it"), (None, 5, "")])
 def test_a_thread_may_not_end_the_process_in_silence_and_a_fork_may(thread, code, said):
     """A thread's end is said before the process ends with code 1; a forked child's is its own matter."""

@@ -181,6 +181,7 @@ def test_it_is_noted_from_when_to_when_an_environment_draws(how, name, notes):
         assert noted == notes
 
 
+@pytest.mark.slow
 def test_a_crash_of_the_process_is_noted_before_it_happens(tmp_path):
     """Code in C that aborts leaves nothing behind but what the history says."""
     path = tmp_path / "h.jsonl"
@@ -255,6 +256,7 @@ def test_a_picture_has_so_many_pixels_at_most(monkeypatch):
         assert "PettingZoo asks for a picture" in batch.silence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "method"), [("stubborn", "render()"), ("unbending", "Drawn(")])
 def test_a_call_for_watchers_that_nothing_interrupts_ends_the_process(how, method):
     """The watchdog ends the process after PICTURE_SECONDS, although calls have no limit, and notes it."""

@@ -5,6 +5,7 @@ import sys
 from typing import Annotated, NamedTuple
 
 import numpy as np
+import pytest
 
 from eia_sec.common import farm_observation
 from eia_sec.common.actions import lattice as formula
@@ -63,6 +64,7 @@ def test_numbers_of_a_section_have_their_declared_types():
     assert not hasattr(stress, "areas")
 
 
+@pytest.mark.slow
 def test_code_that_takes_a_section_s_numbers_is_found_on_disk(tmp_path):
     """A second process does not compile anew what takes the numbers of a section."""
     script = tmp_path / "radius.py"

@@ -135,6 +135,7 @@ def test_a_call_that_does_not_return_raises_an_alarm(monkeypatch):
     assert watchdog.call_alarm() == ""
 
 
+@pytest.mark.slow
 def test_a_call_is_ended_with_its_process_and_what_that_has_started():
     """After the limit the process says why and ends with code 1; so does a process that should end anyhow."""
     program = (
@@ -158,6 +159,7 @@ def test_a_call_is_ended_with_its_process_and_what_that_has_started():
         assert said in done.stderr
 
 
+@pytest.mark.slow
 def test_a_call_that_took_too_long_is_counted_before_the_process_ends(tmp_path):
     """The history of the worker keeps it, so that the next start reports it."""
     path = tmp_path / "rollout-0.jsonl"
