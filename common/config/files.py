@@ -31,7 +31,7 @@ from eia_sec.common.regular_files import read_regular_text
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Number of the form of a saved configuration.
 
 It rises when an option is renamed, removed or means something else, when a new one's default is not what versions

@@ -56,9 +56,8 @@ class ReplayConfig:
     intake_chunks: int = 16
     """Most chunks in the learner's intake queue (ours)."""
     max_age_versions: int = 0
-    """Largest age of a row that is still sampled, in parameter versions; 0 for no limit (ours)."""
-    max_lag_versions: int = 0
-    """Largest lag of the policy behind an arriving chunk, in parameter versions; 0 for no limit (ours)."""
+    """Largest age of a row's policy, in parameter versions: chunks of older ones are refused, and rows that have become
+    older are no longer sampled; 0 for no limit (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse buffers that cannot hold a batch."""
@@ -68,7 +67,6 @@ class ReplayConfig:
             max_age_versions=self.max_age_versions,
         )
         within(0.0, 1000.0, updates_per_step=self.updates_per_step)
-        within(0, 2**31, max_lag_versions=self.max_lag_versions)
         within(1, 100_000_000, slack_steps=self.slack_steps)
         within(1, 65_536, intake_chunks=self.intake_chunks)
         if self.warmup_steps > self.capacity * 100:

@@ -265,14 +265,11 @@ reward_scale = 1.0
 potential_discount = 0.0
 ensemble = true
 ensemble_members = 2
-mixture_epsilon = 0.1
 ensemble_loss = "mixture"
 ensemble_gradient = true
 ensemble_copy_rate = 0.1
 bootstrap = "local"
-target_actor = false
 actor_objective = "local"
-critic_scope = "local"
 [elite]
 enabled = true
 rate = 0.1

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import ClassVar, Final
 
 from eia_sec.common.config.algorithms import (
     OPTIONAL_SECTIONS,
@@ -23,6 +23,8 @@ from eia_sec.common.config.plugin_names import NO_PLUGINS, PluginNames
 from eia_sec.common.config.population import PopulationConfig
 from eia_sec.common.errors import ConfigError
 
+FIRST_UNSEEN: Final = 1000
+"""Lowest seed of the farms of evaluations."""
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
 
 
@@ -78,7 +80,7 @@ class LearnerConfig:
     are published at once."""
     checkpoint_seconds: float = 60.0
     """Time between two checkpoints, s."""
-    keep_checkpoints: int = 2
+    keep_checkpoints: ClassVar[int] = 2
     """Number of newest checkpoints that are kept."""
 
     def __post_init__(self) -> None:
@@ -86,7 +88,6 @@ class LearnerConfig:
         within(1, 256, threads=self.threads, update_threads=self.update_threads)
         if not _DEVICE.fullmatch(self.device):
             raise ConfigError(f"device must be cpu, cuda or cuda:NUMBER, not {self.device!r}.")
-        within(1, 1000, keep_checkpoints=self.keep_checkpoints)
         positive(publish_seconds=self.publish_seconds, checkpoint_seconds=self.checkpoint_seconds)
 
 
@@ -94,17 +95,13 @@ class LearnerConfig:
 class EvaluationConfig:
     """The noise-free evaluation at the end of a run."""
 
-    first_farm: int = 1000
-    """Seed of the first evaluation farm; training never sees these farms."""
     farms: int = 20
-    """Number of evaluation farms."""
-    episodes: int = 1
-    """Episodes on each farm."""
+    """Number of evaluation farms, one episode each. Their seeds begin at 1000, or behind those of more training farms;
+    training never sees them."""
 
     def __post_init__(self) -> None:
         """Refuse empty evaluations."""
-        within(0, 2**31, first_farm=self.first_farm)
-        within(1, 100_000, farms=self.farms, episodes=self.episodes)
+        within(1, 100_000, farms=self.farms)
 
 
 @dataclass(frozen=True)
@@ -138,8 +135,6 @@ class RunConfig:
         within(0, 10**12, steps=self.steps)
         if not (self.episodes or self.steps):
             raise ConfigError("episodes and steps are both 0, and one of them ends the run.")
-        if self.evaluation.first_farm < self.rollout.train_farms:
-            raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
         for section in self.unused_sections:
             if getattr(self, section) != type(getattr(self, section))():
                 raise ConfigError(f"{self.algorithm.name} does not read {section}; leave that section at its defaults.")
@@ -224,6 +219,11 @@ class RunConfig:
         env, algorithm = replace(self.env, name=name), self.algorithm
         rollout = replace(self.rollout, environments=1) if env.served else self.rollout
         return replace(self, env=without_entries(env), algorithm=without_entries(algorithm), rollout=rollout)
+
+    def unseen(self, farms: int) -> range:
+        """Return the seeds of so many farms, or scenarios, that training never sees."""
+        first = max(FIRST_UNSEEN, self.rollout.train_farms)
+        return range(first, first + farms)
 
     @property
     def unused_sections(self) -> tuple[str, ...]:

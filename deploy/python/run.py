@@ -62,6 +62,5 @@ class Run:
         """
         if sampled and not self.actors.draws:
             raise ConfigError(f"actors of {self.config.algorithm.name} have no distribution to draw actions from.")
-        first = self.config.evaluation.first_farm
         policy = SampledPolicy(self.actors) if sampled else ActorPolicy(self.actors.noise_free())
-        return evaluate_run(without_timeout(self.config), policy, range(first, first + scenarios), episodes, name=NAME)
+        return evaluate_run(without_timeout(self.config), policy, self.config.unseen(scenarios), episodes, name=NAME)

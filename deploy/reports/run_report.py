@@ -46,8 +46,7 @@ def write_report(
         The evaluation of the run's policy, by the names of scalars.
     """
     path = directory.path
-    first = config.evaluation.first_farm
-    farms = range(first, first + config.evaluation.farms)
+    farms = config.unseen(config.evaluation.farms)
     farm, word = farm_of(config), scenario_word(config)
     console.print(f"evaluating on {counted(len(farms), word)} that training never saw ...", highlight=False)
     results = evaluate_all(config, path, farms)
@@ -59,7 +58,7 @@ def write_report(
     pictures = ["curves.png"]
     if farm is not None:
         policy = ActorPolicy(load_policy(path / POLICY)[0])
-        trajectories(record(farm, policy, first, 0), path / "trajectories.png", title)
+        trajectories(record(farm, policy, farms.start, 0), path / "trajectories.png", title)
         pictures.append("trajectories.png")
     outcome = {
         "command": " ".join(command),
@@ -96,10 +95,9 @@ def evaluate_all(config: RunConfig, folder: Path, farms: Sequence[int]) -> list[
         if actors.draws and farm_of(config) is None:
             policies[f"{name}{SAMPLED}"] = SampledPolicy(actors)
     policies |= {name: run_policy(name, config) for name in reference_policies(config)}
-    episodes = config.evaluation.episodes
     with progress("evaluating") as tell:
         return [
-            evaluate_run(config, flown, farms, episodes, name=name, tell=part(tell, done, len(policies)))
+            evaluate_run(config, flown, farms, 1, name=name, tell=part(tell, done, len(policies)))
             for done, (name, flown) in enumerate(policies.items())
         ]
 

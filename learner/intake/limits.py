@@ -43,7 +43,7 @@ class IntakeLimits:
                 least = config.rollout.environments * _least_steps(config)
             chunks = max(ITERATION_CHUNKS, -(-whole // (least or chunk)))
             return cls(chunks, config.on_policy.max_lag_versions, whole, chunk, least)
-        return cls(config.replay.intake_chunks, config.replay.max_lag_versions or None, chunk_steps=chunk)
+        return cls(config.replay.intake_chunks, config.replay.max_age_versions or None, chunk_steps=chunk)
 
 
 def _least_steps(config: RunConfig) -> int:

@@ -21,7 +21,7 @@ from eia_sec.learner.off_policy.trained import Trained
 class Actors(Trained):
     """All actors and, where wanted, target actors.
 
-    They are drawn once for each type, or once for each agent (A4).
+    They are drawn once for each type (A4).
 
     Args:
         config: the algorithm's configuration.
@@ -39,8 +39,7 @@ class Actors(Trained):
         outputs = 2 if head == "gaussian" else 1
         shapes = [Shape(g.count, g.observation_size, outputs * g.action_size, config.batch) for g in team.groups]
         networks = Stacks(shapes, config.hidden, like, cores=cores)
-        per_type = config.initialisation == "type"
-        drawn = TeamActors.initial(team, config.hidden, seed, per_type=per_type, head=head)
+        drawn = TeamActors.initial(team, config.hidden, seed, head=head)
         for stack, parameters in zip(networks.stacks, drawn.flat, strict=True):
             stack.load(parameters)
         super().__init__(networks, config.actor_rate, config.gradient_clip, target=target)

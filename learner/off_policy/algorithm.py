@@ -30,15 +30,14 @@ C = TypeVar("C", bound=OffPolicyConfig)
 
 
 class Batch(NamedTuple):
-    """B transitions of the whole team, on the engine's device; each spans m steps, 1 <= m <= n.
+    """B transitions of the whole team, on the engine's device.
 
     Attributes:
         observation: rows [B, O].
         action: rows [B, A].
-        reward: [B, agents], sum_{k < m} gamma^k r_{t+k}.
-        next_observation: rows [B, O], m steps later.
+        reward: [B, agents].
+        next_observation: rows [B, O].
         terminated: [B], 1 where nothing is bootstrapped from the next observation, else 0.
-        discount: [B], gamma^m.
     """
 
     observation: Tensor
@@ -46,7 +45,6 @@ class Batch(NamedTuple):
     reward: Tensor
     next_observation: Tensor
     terminated: Tensor
-    discount: Tensor
 
 
 class Diagnostics(NamedTuple):
@@ -107,9 +105,7 @@ class Algorithm(ABC, Generic[C]):
 
     def __init__(self, config: C, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         self.config, self.team = config, team
-        self._inputs, self._next_inputs = (
-            Inputs(team, config.batch, config.joint_critics, like, pooled=config.uses_ensemble) for _ in range(2)
-        )
+        self._inputs, self._next_inputs = (Inputs(team, config.batch, config.joint_critics, like) for _ in range(2))
         target = self.has_target_actors()
         self.actors = Actors(config, team, seed, like, head=self.head, target=target, cores=cores)
         counts = {"each": self.critics_each, "objective": self.objective_critics}
@@ -151,7 +147,7 @@ class Algorithm(ABC, Generic[C]):
 
     def td_target(self, batch: Batch, next_value: Tensor) -> Tensor:
         """Return Y_i = reward_scale r_i + discount (1 - terminated) V_i(o'), [agents, B], given V [agents, B]."""
-        continuation = (1.0 - batch.terminated) * batch.discount
+        continuation = (1.0 - batch.terminated) * self.config.discount
         return torch.addcmul(batch.reward.t() * self.config.reward_scale, next_value, continuation)
 
     def critic_loss(self, q: Tensor, target: Tensor) -> Tensor:

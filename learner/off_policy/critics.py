@@ -1,8 +1,8 @@
 """Critics of single agents: one or two for each, local or joint.
 
-Q-values are tensors [k, agents, B] in the team's order, k being the critics of an agent. They are initialised, loaded
-and exported in the order of an agent's own view (see `eia_sec.learner.off_policy.inputs`), whatever the order of the
-rows that the critics see.
+Q-values are tensors [k, agents, B] in the team's order, k being the critics of an agent. Joint critics are initialised
+in the order of an agent's own view (see `eia_sec.learner.off_policy.inputs`), whatever the order of the rows that they
+see.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from eia_sec.learner.off_policy.trained import Trained
 class Critics(Trained):
     """Every agent's own critics and their targets.
 
-    They are drawn once for each type, or once for each agent (A4); the critics of one agent differ.
+    They are drawn once for each type (A4); the critics of one agent differ.
 
     Args:
         config: the algorithm's configuration.
@@ -65,29 +65,22 @@ class Critics(Trained):
         return Shape(group.count, width, 1, batch, changes)
 
     def _draw(self, networks: Stacks, seed: int) -> None:
-        hidden, per_type = self._config.hidden, self._config.initialisation == "type"
+        hidden = self._config.hidden
         for number, stack in enumerate(networks.stacks):
             k, kind = divmod(number, len(self._team.groups))
             group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
             role = "critic" if k == 0 else f"critic {k}"
-            names = [0 if per_type else index for index in range(group.count)]
-            draws = [initial_parameters(width, hidden, 1, stream(seed, role, group.name, name)) for name in names]
-            drawn = torch.from_numpy(np.stack(draws)).to(networks.flat.device)
-            stack.load(self._reordered(kind, drawn, inward=True).cpu().numpy())
+            draw = initial_parameters(width, hidden, 1, stream(seed, role, group.name, 0))
+            drawn = torch.from_numpy(np.stack([draw] * group.count)).to(networks.flat.device)
+            stack.load((self._by_rows(kind, drawn) if self._joint else drawn).cpu().numpy())
 
-    def in_own_order(self, kind: int, parameters: Tensor) -> Tensor:
-        """Return a type's parameters [n_v, P] with the first layer's rows in the order of each agent's own view."""
-        return self._reordered(kind, parameters, inward=False)
-
-    def _reordered(self, kind: int, parameters: Tensor, *, inward: bool) -> Tensor:
-        """Return parameters [n_v, P] with the first layer's rows in the order of joint rows, or in the agent's own."""
-        if not self._joint:
-            return parameters
+    def _by_rows(self, kind: int, parameters: Tensor) -> Tensor:
+        """Return parameters [n_v, P], whose first layer's rows are in each agent's own order, in that of joint rows."""
         width, hidden = critic_width(self._team, kind, True), self._config.hidden
         first, rest = torch.split(parameters, [width * hidden, parameters.shape[1] - width * hidden], dim=1)
         rows = first.reshape(-1, width, hidden)
         columns = self._views[kind][:, :, None].expand_as(rows)
-        found = torch.empty_like(rows).scatter_(1, columns, rows) if inward else rows.gather(1, columns)
+        found = torch.empty_like(rows).scatter_(1, columns, rows)
         return torch.cat([found.flatten(1), rest], dim=1)
 
     def __call__(self, inputs: Inputs) -> Tensor:

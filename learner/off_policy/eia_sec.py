@@ -8,7 +8,7 @@ An update is synchronous: every agent's step uses the others' parameters from th
 
  1. A batch of B rows, the same rows for all agents.
  2. Targets with the parameters from the start of the update (A5, A8):
-        a'_i = pi_i(o'_i)                                  by the target actor where `target_actor`
+        a'_i = pi_i(o'_i)
         M'_i = eps Q'_i + (1 - eps) mean_k Q'_s,k          or Q'_i alone where `bootstrap` is local
         Y_i  = reward_scale r_i + discount (1 - terminated) M'_i
  3. Critic losses (up1), and one Adam step of all critics at r_c. With `ensemble_loss` "member" each critic regresses
@@ -21,8 +21,7 @@ An update is synchronous: every agent's step uses the others' parameters from th
     which equals phi_s,k <- (1 - c_k)^n_v phi_s,k + sum_i c_k (1 - c_k)^(n_v - i) phi_i.
  5. Soft targets (xt) of local critics and SEC members: phi' <- xi phi + (1 - xi) phi'.
  6. Actor loss (up3, A9, A12) with the updated critics: -mean_B Q_P,i(o_i, pi_i(o_i)), or -mean_B Q_i where
-    `actor_objective` is local; in the joint scope the other agents' actions are the batch's. One Adam step at r_a;
-    then the target actors, if any, follow as in 5.
+    `actor_objective` is local. One Adam step at r_a.
 
 Elite imitation, the other half of the method, acts on the actors between updates (`eia_sec.common.imitation`).
 """
@@ -55,10 +54,6 @@ class EiaSec(Algorithm[EiaSecConfig]):
         super().retune(config)
         if self.ensemble is not None:
             self.ensemble.set_rate(config.critic_rate)
-
-    def has_target_actors(self) -> bool:
-        """See `Algorithm`."""
-        return self.config.target_actor
 
     def tensors(self) -> dict[str, Tensor]:
         """See `Algorithm`."""
@@ -97,7 +92,7 @@ class EiaSec(Algorithm[EiaSecConfig]):
         if ensemble:
             ensemble.follow(config.target_rate)
 
-        # 6. Actor loss, actor step, target actors
+        # 6. Actor loss, actor step
         actions = self.actors.actions(inputs)
         (objective,) = self.critics.of_policies(inputs, actions)
         policy_members = None
@@ -108,7 +103,6 @@ class EiaSec(Algorithm[EiaSecConfig]):
         self.actors.zero_grad()
         actor_loss.backward()
         self.actors.step(norms=diagnostics)
-        self.actors.follow(config.target_rate)
 
         if not diagnostics:
             return None

@@ -1,6 +1,6 @@
 """The engine of off-policy algorithms: a batch in, one update of all agents, actors out.
 
-The engine holds what algorithms share: normalisation statistics, the noise of an update, the update count, and on an
+The engine holds what algorithms share: the noise of an update, the update count, and on an
 accelerator the captured graphs. The algorithm (`eia_sec.learner.registry`) defines what an update computes.
 """
 
@@ -14,11 +14,10 @@ from torch import Tensor
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import OffPolicyConfig
 from eia_sec.common.seeds import stream
-from eia_sec.common.team import Float32, TeamSpec
+from eia_sec.common.team import TeamSpec
 from eia_sec.learner.networks.compiled import usable_cores
 from eia_sec.learner.off_policy.algorithm import Batch, Diagnostics
 from eia_sec.learner.off_policy.captured_updates import CapturedUpdates
-from eia_sec.learner.off_policy.normalisation import Normalisation
 from eia_sec.learner.registry import off_policy
 
 __all__ = ["Batch", "Diagnostics", "Engine"]
@@ -62,9 +61,6 @@ class Engine:
             cores = usable_cores(torch.get_num_threads()) if like.device.type == "cpu" else 0
         self.cores = cores
         self.algorithm = off_policy(config.name)(config, team, seed, like, cores=cores)
-        self.normalisation = Normalisation(
-            team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
-        )
         self.updates = torch.zeros((), dtype=torch.int64)
         self.random = stream(seed, NOISE)
         self._noise = like.new_zeros(self.algorithm.noise_blocks, config.batch * team.action_size)
@@ -75,13 +71,6 @@ class Engine:
         if self.algorithm.noise_blocks:
             drawn = self.random.standard_normal(self._noise.shape, np.float32)
             self._noise.copy_(torch.from_numpy(drawn))
-        normal = self.normalisation
-        if normal.observations or normal.rewards:
-            batch = batch._replace(
-                observation=normal.observed(batch.observation),
-                next_observation=normal.observed(batch.next_observation),
-                reward=normal.rewarded(batch.reward),
-            )
         if self.cores > 1:
             numba.set_num_threads(usable_cores(self.cores))  # numba keeps this setting per calling thread
         self.updates.add_(1)
@@ -96,30 +85,10 @@ class Engine:
         if self._graphs is not None:  # they hold the rates
             self._graphs = CapturedUpdates(self.algorithm)
 
-    def observe(self, observation: Float32, reward: Float32) -> None:
-        """Add observations [R, O] and rewards [R, agents] to the running statistics, if normalisation is on."""
-        if self.normalisation.observations or self.normalisation.rewards:
-            self.normalisation.add(observation, reward)
-
-    def load_actors(self, flat: tuple[Float32, ...]) -> None:
-        """Replace the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`."""
-        self.algorithm.actors.load(self.normalisation.fold(flat, self.config.hidden, out=False))
-
-    def export_actors(self) -> tuple[Float32, ...]:
-        """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `eia_sec.common.actors`.
-
-        They take raw observations; the running statistics are folded into their first layers.
-        """
-        return self.normalisation.fold(self.algorithm.actors.export(), self.config.hidden, out=True)
-
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
-        return TeamActors(self.team, self.config.hidden, self.export_actors(), self.algorithm.head)
+        return TeamActors(self.team, self.config.hidden, self.algorithm.actors.export(), self.algorithm.head)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return the whole state except `random`, by name; call `restored` after writing into the tensors."""
-        return {**self.algorithm.tensors(), **self.normalisation.tensors(), "updates": self.updates}
-
-    def restored(self) -> None:
-        """Update derived values after the tensors of `tensors` were overwritten."""
-        self.normalisation.refresh()
+        """Return the whole state except `random`, by name."""
+        return {**self.algorithm.tensors(), "updates": self.updates}

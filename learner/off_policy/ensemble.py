@@ -43,7 +43,7 @@ class Ensemble(Trained):
 
     def _shape(self, kind: int, start: int) -> Shape:
         """Return the stack of one member of a type, whose agents' rows it sees one after another."""
-        group, width = self._team.groups[kind], critic_width(self._team, kind, self._config.joint_critics)
+        group, width = self._team.groups[kind], critic_width(self._team, kind, False)
         changes = Changes(start, group.observation_size, 0, group.action_size)
         return Shape(1, width, 1, group.count * self._config.batch, changes)
 
@@ -63,7 +63,7 @@ class Ensemble(Trained):
 
     def _values(self, networks: Stacks, inputs: Inputs, change: Tensor | None = None) -> Tensor:
         members = self._config.ensemble_members
-        output: Tensor = networks([x[None] for x in inputs.pooled] * members, change)
+        output: Tensor = networks([x.flatten(0, 1)[None] for x in inputs.critic] * members, change)
         return output.view(members, -1, self._config.batch)
 
     def norms_by_agent(self) -> Tensor:
@@ -87,6 +87,6 @@ class Ensemble(Trained):
         """Do the proportional copy (up2) from each agent's critic: phi_s,k <- keep_k phi_s,k + sum_i w_k,i phi_i."""
         kinds = len(self._copies)
         for kind, (weights, keep) in enumerate(self._copies):
-            copied = weights @ critics.in_own_order(kind, critics.networks.stacks[kind].flat)
+            copied = weights @ critics.networks.stacks[kind].flat
             for stack, part, kept in zip(self.networks.stacks[kind::kinds], copied, keep, strict=True):
                 stack.flat.mul_(kept).add_(part)

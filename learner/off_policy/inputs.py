@@ -2,16 +2,14 @@
 
 The actor of agent i sees the row o_i, and its critic sees
 
-    [o_i, a_i]                                                                         critic_scope local
-    [o_1 .. o_n, a_1 .. a_n]                                                           joint, the same for all agents
+    [o_i, a_i]                                             where critics are local
+    [o_1 .. o_n, a_1 .. a_n]                               where they are joint, the same for all agents
 
-A critic that a type shares must know whose value it predicts. In the joint scope it therefore sees the row in the
-agent's own order,
+The parameters of joint critics are initialised in their agent's own order,
 
     [o_i, a_i, o of own type's others, a of own type's others, (o, a) of each other type]
 
-where "others" follow the order of the team, and all observations of a type precede all its actions. The parameters of
-all joint critics are initialised in that order.
+where "others" follow the order of the team, and all observations of a type precede all its actions.
 
 The *action layout* holds the actions of all agents type by type, agent by agent, row by row: [sum n_v * B * a_v].
 """
@@ -106,35 +104,28 @@ class Inputs:
         batch: rows of a batch, B.
         joint: whether critics see all agents.
         like: a tensor of the wanted device and type.
-        pooled: whether types share critics.
 
     Attributes:
         actor: for each type [n_v, B, o_v].
-        critic: for each type [n_v, B, width]; in the joint scope all agents see the same rows.
+        critic: for each type [n_v, B, width]; joint critics of all agents see the same rows.
         batch_action: the batch's own actions, in the action layout.
-        pooled: for each type the rows of all its agents, as its shared critics see them, [n_v * B, width].
     """
 
-    def __init__(self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, pooled: bool = False) -> None:
+    def __init__(self, team: TeamSpec, batch: int, joint: bool, like: Tensor) -> None:
         self._team, self._batch, self._joint, groups = team, batch, joint, team.groups
         width, actions = team.observation_size + team.action_size, batch * team.action_size
         actor = [g.count * batch * g.observation_size for g in groups]
         local = [g.count * batch * (g.observation_size + g.action_size) for g in groups]
-        ordered = [g.count * batch * width for g in groups] if joint and pooled else []
         # Apart, because actors are differentiated after critics' inputs have got their actions.
-        parts = [*([batch * width] if joint else local), *ordered]
+        parts = [batch * width] if joint else local
         pieces = [piece for sizes in (actor, parts) for piece in torch.split(like.new_zeros(sum(sizes)), sizes)]
         kinds = len(groups)
         self.actor = [p.view(g.count, batch, -1) for p, g in zip(pieces[:kinds], groups, strict=True)]
         if joint:
             self._row = pieces[kinds].view(batch, width)
             self.critic = [self._row.expand(g.count, batch, width) for g in groups]
-            self.pooled = [p.view(-1, width) for p in pieces[kinds + 1 :]]
-            columns = [torch.tensor(view_columns(team, kind)).flatten() for kind in range(len(self.pooled))]
-            self._columns = [c.to(like.device) for c in columns]
         else:
             self.critic = [p.view(g.count, batch, -1) for p, g in zip(pieces[kinds:], groups, strict=True)]
-            self.pooled = [x.flatten(0, 1) for x in self.critic]
         self._observations, self._actions = observation_layout(team), action_layout(team)
         self._split_critic_columns()
         self.batch_action = like.new_zeros(actions)
@@ -163,7 +154,6 @@ class Inputs:
             for own, x, part in zip(self._batch_action_views, self._critic_actions, parts, strict=True):
                 own.copy_(part)
                 x.copy_(part)
-            self._fill_pooled()
         return self
 
     def with_actions(self, action: Tensor) -> "Inputs":
@@ -171,13 +161,4 @@ class Inputs:
         views = action_views(self._team, self._batch, action)
         for x, part in zip(self._critic_actions, views, strict=True):
             x.copy_(part)
-        self._fill_pooled()
         return self
-
-    def _fill_pooled(self) -> None:
-        """Write joint rows in each agent's own order for critics that a type shares."""
-        if not self._joint:
-            return
-        for x, columns, group in zip(self.pooled, self._columns, self._team.groups, strict=False):
-            view = torch.unflatten(self._row.index_select(1, columns), 1, (group.count, -1))
-            torch.unflatten(x, 0, (group.count, -1)).copy_(view.transpose(0, 1))

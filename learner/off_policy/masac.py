@@ -108,11 +108,10 @@ class Masac(Algorithm[MasacConfig]):
 
         # 4. Temperature loss, temperature step
         log_probability = sample.log_probability.detach().mean(dim=1)
-        if config.temperature_rate > 0.0:
-            temperature_loss = -(self._log_alpha.exp() * (log_probability + self._target_entropy)).sum()
-            self._alpha_adam.zero_grad()
-            temperature_loss.backward()
-            self._alpha_adam.step()
+        temperature_loss = -(self._log_alpha.exp() * (log_probability + self._target_entropy)).sum()
+        self._alpha_adam.zero_grad()
+        temperature_loss.backward()
+        self._alpha_adam.step()
 
         if not diagnostics:
             return None

@@ -4,12 +4,6 @@ The rows are those of `eia_sec.common.transitions`. Each observation is stored o
 its successor, found by index. If a chunk continues a trajectory of the previous chunk, its first row merges with the
 row that is already in the ring (see `eia_sec.learner.off_policy.segments`). A successor is always newer than its row,
 so the successor of every row with a step is in the ring.
-
-With n-step targets (A5 with more rewards before the bootstrap), a transition from row t is
-
-    reward = sum_{k < m} gamma^k r_{t+k},   next_observation = o_{t+m},   discount = gamma^m,
-
-where m is n, or less if the episode or the known part of the trajectory ends earlier.
 """
 
 from collections.abc import Mapping
@@ -43,8 +37,6 @@ class Replay:
         team: the layout of the team.
         capacity: rows, D.
         device: torch device of the rows.
-        steps: n, 1 or more.
-        discount: gamma.
 
     Attributes:
         head: index of the next row.
@@ -60,9 +52,7 @@ class Replay:
         drawn_places: indices of these rows.
     """
 
-    def __init__(
-        self, team: TeamSpec, capacity: int, device: str = "cpu", *, steps: int = 1, discount: float = 1.0
-    ) -> None:
+    def __init__(self, team: TeamSpec, capacity: int, device: str = "cpu") -> None:
         self.capacity, self._device = capacity, torch.device(device)
         self.observation = torch.zeros(capacity, team.observation_size, device=device)
         self.action = torch.zeros(capacity, team.action_size, device=device)
@@ -82,8 +72,6 @@ class Replay:
         self._drawable = IndexSet(capacity)
         self._ends = OpenEnds()
         self._frozen: list[Frozen] = []
-        self._steps = steps
-        self._powers = torch.tensor([discount**k for k in range(steps + 1)], dtype=torch.float32, device=device)
 
     @property
     def transitions(self) -> int:
@@ -187,35 +175,15 @@ class Replay:
     def transitions_from(self, places: Places) -> Batch:
         """Return the transitions that start at these rows, each of which has a step."""
         here = torch.from_numpy(places).to(self._device)
-        reward = self.reward.index_select(0, here)
-        discount = self._powers[1].expand(places.shape[0])
-        last = places
-        if self._steps > 1:
-            last, reward, discount = self._further(places, reward)
-        terminated = (self.flag[last] & TERMINATED) != 0
-        following = torch.from_numpy(self.successor[last]).to(self._device)
+        terminated = (self.flag[places] & TERMINATED) != 0
+        following = torch.from_numpy(self.successor[places]).to(self._device)
         return Batch(
             observation=self.observation.index_select(0, here),
             action=self.action.index_select(0, here),
-            reward=reward,
+            reward=self.reward.index_select(0, here),
             next_observation=self.observation.index_select(0, following),
             terminated=torch.from_numpy(terminated.astype(np.float32)).to(self._device),
-            discount=discount,
         )
-
-    def _further(self, places: Places, reward: Tensor) -> tuple[Places, Tensor, Tensor]:
-        """Return, for n > 1, the row of each transition's last step, the sum of its rewards and its discount."""
-        last, taken = places, np.ones(places.shape[0], np.int64)
-        going = np.ones(places.shape[0], np.bool_)
-        for k in range(1, self._steps):
-            # The last row of an episode and the last known row of a trajectory have no step.
-            following = self.successor[last]
-            going = going & ((self.flag[following] & TRANSITION) != 0)
-            last = np.where(going, following, last)
-            taken += going
-            share = torch.from_numpy(going.astype(np.float32)).to(self._device)[:, None] * self._powers[k]
-            reward = torch.addcmul(reward, share, self.reward.index_select(0, torch.from_numpy(last).to(self._device)))
-        return last, reward, self._powers[torch.from_numpy(taken).to(self._device)]
 
     def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
         """Return the present state: tensors of the ring's first `rows` rows, and values that JSON can hold.

@@ -9,7 +9,7 @@ from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.seeds import stream
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.common.transitions import TRANSITION, Chunk
+from eia_sec.common.transitions import Chunk
 from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 from eia_sec.learner.checkpoint.trainer_state import (
     checked_tensors,
@@ -50,7 +50,7 @@ class OffPolicyTrainer(Trainer):
         super().__init__(config, team)
         algorithm, device = config.off_policy, config.learner.device
         self.engine = Engine(algorithm, team, config.network_seed, device)
-        self.replay = Replay(team, config.replay.capacity, device, steps=algorithm.n_step, discount=algorithm.discount)
+        self.replay = Replay(team, config.replay.capacity, device)
         self.random = stream(config.seed, "replay")
         self.diagnostics = RunningDiagnostics(team, device)
         self._batch = algorithm.batch
@@ -59,8 +59,6 @@ class OffPolicyTrainer(Trainer):
     def take_in(self, chunk: Chunk, version: int, source: str, number: int) -> None:
         """Add the rows to replay."""
         self.replay.add(chunk.rows, version, source, number)
-        follows = (chunk.rows.flag & TRANSITION) != 0
-        self.engine.observe(chunk.rows.observation[follows], chunk.rows.reward[follows])
 
     def updates_due(self) -> int:
         """Return floor(updates_per_step * steps after warm-up) less the updates done; 0 while replay holds no batch."""
@@ -95,7 +93,7 @@ class OffPolicyTrainer(Trainer):
         if self.updates % RETURN_PERIOD == 0:
             discount, scale = self.config.algorithm.discount, self.config.algorithm.reward_scale
             returns, chosen = newest_returns(self.replay, self.replay.drawn_places, discount)
-            self.diagnostics.compare(diagnostics, self.engine.normalisation.rewarded(returns) * scale, chosen)
+            self.diagnostics.compare(diagnostics, returns * scale, chosen)
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
@@ -103,7 +101,7 @@ class OffPolicyTrainer(Trainer):
 
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
         """Replace the actors' parameters, [n_v, P_v] for each type."""
-        self.engine.load_actors(flat)
+        self.engine.algorithm.actors.load(flat)
 
     def retune(self) -> None:
         """See `Trainer`."""
@@ -149,7 +147,6 @@ class OffPolicyTrainer(Trainer):
         for name, tensor in own.items():
             tensor.copy_(found[name])
         engine.random = noise
-        engine.restored()
         self.diagnostics.means = means
         self.diagnostics.updates, self.diagnostics.comparisons = updates, comparisons
         self._age, self._oldest, self.random = age, oldest, random

@@ -6,7 +6,6 @@ from eia_sec.common.config import OnPolicyConfig
 from eia_sec.common.team import GroupSpec
 from eia_sec.learner.networks.recurrent import make_stack
 from eia_sec.learner.networks.sequences import Sequences, Unroll
-from eia_sec.learner.on_policy.policies import initialisation_names
 from eia_sec.learner.on_policy.ppo import Ppo
 from eia_sec.learner.on_policy.values import GroupValue
 
@@ -17,8 +16,7 @@ class OwnValue(GroupValue):
     def __init__(self, config: OnPolicyConfig, group: GroupSpec, seed: int) -> None:
         super().__init__()
         count = 1 if config.shared else group.count
-        names = initialisation_names("value", group, count, seed, per_type=config.initialisation == "type")
-        self.network = make_stack(config, count, group.seen, 1, 1.0, names)
+        self.network = make_stack(config, count, group.seen, 1, 1.0, [(seed, "value", group.name, 0)] * count)
         self.states = group.count
 
     def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:

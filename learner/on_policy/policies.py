@@ -43,7 +43,7 @@ class Policies(nn.Module):
     def _stack(self, group: GroupSpec, seed: int) -> Stack:
         config = self._config
         count = 1 if config.shared else group.count
-        names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
+        names = [(seed, "actor", group.name, 0)] * count
         stack = make_stack(config, count, group.seen, actor_outputs(group, HEAD), LAST_GAIN, names)
         if config.module is None:
             prefer(stack, group, config.suggestion_logits.get(group.name, FOLLOW))
@@ -83,10 +83,3 @@ class Policies(nn.Module):
         flat = stack.flat.detach().clone()
         stack.rescale_inputs(-shift / scale, 1.0 / scale, flat)
         return stack.export(flat)
-
-
-def initialisation_names(
-    what: str, group: GroupSpec, count: int, seed: int, *, per_type: bool
-) -> list[tuple[int | str, ...]]:
-    """Return the names of the random streams of `count` networks: one stream for the type, or one for each agent."""
-    return [(seed, what, group.name, 0 if per_type else index) for index in range(count)]

@@ -47,7 +47,6 @@ def random_batch(config: OffPolicyConfig, team: TeamSpec) -> Batch:
         normal(rows, team.agents),
         normal(rows, team.observation_size),
         (normal(rows) > 1.0).float(),
-        torch.full((rows,), config.discount),
     )
 
 

@@ -148,10 +148,8 @@ def keep_page(arguments: Arguments, output: Path) -> None:
         config = RunDirectory(source).configuration()
         metadata = {key: str(outcome[key]) for key in ("command", "commit", "seed", "episodes", "updates")}
         ship(arguments.policy, source, metadata)
-        first, count = config.evaluation.first_farm, config.evaluation.farms
-        shipped = evaluate(
-            config.farm, policy_of(arguments.policy, config.farm), range(first, first + count), 1, name="trained"
-        )
+        farms, policy = config.unseen(config.evaluation.farms), policy_of(arguments.policy, config.farm)
+        shipped = evaluate(config.farm, policy, farms, 1, name="trained")
         outcome["evaluations"].append(shipped.to_dict())
     (output / "evaluation.json").write_text(json.dumps(outcome) + "\n", encoding="utf-8")
 

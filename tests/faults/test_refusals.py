@@ -249,7 +249,7 @@ def test_whoever_keeps_sending_what_brings_nothing_is_blocked(sent, answer):
 
 
 def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
-    """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
+    """Beyond `replay.max_age_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
     receiver, door = front_door(most_lag=5)
     receiver.room.set_version(10)
     assert door.pass_on(parcel(of(a_chunk(1), 1, 4))).verdict == "refused"
@@ -263,7 +263,7 @@ def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
 
 def test_no_limit_of_age_is_the_default():
     """Without the setting a chunk of any version is taken."""
-    assert ReplayConfig().max_lag_versions == 0
+    assert ReplayConfig().max_age_versions == 0
     receiver, door = front_door()
     receiver.room.set_version(1_000_000)
     assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"

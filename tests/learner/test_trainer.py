@@ -163,7 +163,7 @@ def test_same_seed_same_run():
 @pytest.mark.parametrize("cut", [1, 2, 4])
 def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
     """Saved, loaded from disk and continued, a run ends at exactly the state of the run that was not interrupted."""
-    config = replace(CONFIG, algorithm=replace(CONFIG.algorithm, target_actor=True, ensemble_copy_rate=0.01))
+    config = replace(CONFIG, algorithm=replace(CONFIG.algorithm, ensemble_copy_rate=0.01))
     whole, resumed = OffPolicyTrainer(config, TEAM), OffPolicyTrainer(config, TEAM)
 
     def play(trainer, first, last):

@@ -46,7 +46,6 @@ hidden = 4
 [replay]
 capacity = 256
 intake_chunks = 6
-max_lag_versions = 0
 [exploration]
 """
 ON_POLICY = """

@@ -12,6 +12,8 @@ from eia_sec.common.config.checks import not_negative, positive, within
 class AlgorithmConfig:
     """What all algorithms share: networks, rates, and how rewards are scaled.
 
+    The agents of a type begin with equal parameters (A4).
+
     Attributes:
         sections: other sections of a configuration that the algorithm reads; see OPTIONAL_SECTIONS.
         discrete_actions: whether the algorithm can train types with discrete actions.
@@ -39,8 +41,6 @@ class AlgorithmConfig:
     gradient_clip: float = 0.0
     """Largest norm of one network's gradient, on policy of that of a type's actors and of its values; 0 for no limit
     (ours)."""
-    initialisation: Literal["type", "independent"] = "type"
-    """One random initialisation for all agents of a type, or one for each agent (A4)."""
 
     def __post_init__(self) -> None:
         """Refuse rates and sizes that cannot learn."""

@@ -209,14 +209,13 @@ class EiaPpoConfig(OnPolicyConfig):
     """Whether the shared ensemble takes part; without it the value is the local one alone."""
     ensemble_members: int = 2
     """Members of a type's shared ensemble, k_s (1 to 64)."""
-    mixture_epsilon: float = 0.1
+    mixture_epsilon: ClassVar[float] = 0.1
     """Weight epsilon of the local value in the mixture, eq. (value)."""
 
     def __post_init__(self) -> None:
         """Refuse an ensemble that cannot be."""
         super().__post_init__()
         within(1, 64, ensemble_members=self.ensemble_members)
-        within(0.0, 1.0, mixture_epsilon=self.mixture_epsilon)
 
     @property
     def ensemble_size(self) -> int:

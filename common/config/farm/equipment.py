@@ -8,14 +8,12 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from eia_sec.common.config.checks import finite, positive, within
-
 
 @dataclass(frozen=True)
 class RadioConfig:
     """The sensor-to-UAV link: path loss, noise and packets."""
 
-    sensor_power_dbm: float = 10.0
+    sensor_power_dbm: ClassVar[float] = 10.0
     """Transmission power of a sensor, P_WT, dBm (ours)."""
     sensor_gain_dbi: ClassVar[float] = 0.0
     """Antenna gain of a sensor, G_WS, dBi (ours)."""
@@ -36,28 +34,19 @@ class RadioConfig:
     vegetation_distance_exponent: ClassVar[float] = 0.3
     """Distance exponent a_3 of the vegetation loss."""
 
-    def __post_init__(self) -> None:
-        """Refuse a power that is no number."""
-        finite(sensor_power_dbm=self.sensor_power_dbm)
-
 
 @dataclass(frozen=True)
 class CameraConfig:
     """Image quality of a plot."""
 
-    image_distance: float = 25.0
+    image_distance: ClassVar[float] = 25.0
     """Largest distance from UAV to grid cell for an acceptable image, d_th, m (ours)."""
     grid_x: ClassVar[int] = 5
     """Grid cells of a plot along x, n_gx (ours)."""
     grid_y: ClassVar[int] = 5
     """Grid cells of a plot along y, n_gy (ours)."""
-    plot_threshold: float = 0.75
+    plot_threshold: ClassVar[float] = 0.75
     """Share of acceptable cells that the image of a plot needs to succeed, Q_th (ours)."""
-
-    def __post_init__(self) -> None:
-        """Refuse thresholds outside 0..1."""
-        positive(image_distance=self.image_distance)
-        within(0.0, 1.0, plot_threshold=self.plot_threshold)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from eia_sec.common.config.checks import finite
 
@@ -22,15 +23,15 @@ class RewardConfig:
     """alpha_4, weight of the boundary violation ACT."""
     monitoring: float = 2.0
     """alpha_5, weight of the visual monitoring utility VMUF."""
-    monitoring_idle: float = 0.5
+    monitoring_idle: ClassVar[float] = 0.5
     """alpha_6, penalty P_M of a step without imaging utility."""
-    monitoring_motivation: float = 0.2
+    monitoring_motivation: ClassVar[float] = 0.2
     """alpha_7, weight of the VDF motivation M_V."""
     collection: float = 2.0
     """alpha_8, weight of the data collection utility DCUF."""
-    collection_idle: float = 0.5
+    collection_idle: ClassVar[float] = 0.5
     """alpha_9, penalty P_C of a step without collection utility."""
-    collection_motivation: float = 0.2
+    collection_motivation: ClassVar[float] = 0.2
     """alpha_10, weight of the AoI motivation M_D."""
     relayed: float = 0.0
     """Weight of what a relay's UAVs earn and would not without their links, where `relay.require_link` (ours)."""
@@ -43,10 +44,6 @@ class RewardConfig:
             collision_risk=self.collision_risk,
             boundary=self.boundary,
             monitoring=self.monitoring,
-            monitoring_idle=self.monitoring_idle,
-            monitoring_motivation=self.monitoring_motivation,
             collection=self.collection,
-            collection_idle=self.collection_idle,
-            collection_motivation=self.collection_motivation,
             relayed=self.relayed,
         )

@@ -31,11 +31,11 @@ class WorldConfig:
     """Width of the task space, U_x-max, m (U_x-min is 0)."""
     field_y: float = 400.0
     """Depth of the task space, U_y-max, m (U_y-min is 0)."""
-    height_communication: float = 22.0
+    height_communication: ClassVar[float] = 22.0
     """Flight height of the communication UAVs, H_c, m."""
-    height_monitoring: float = 20.0
+    height_monitoring: ClassVar[float] = 20.0
     """Flight height of the monitoring UAVs, H_m, m."""
-    height_collection: float = 18.0
+    height_collection: ClassVar[float] = 18.0
     """Flight height of the data collection UAVs, H_d, m."""
     speed_x_max: float = 10.0
     """Largest speed along x, V_x-max, m/s."""
@@ -57,9 +57,9 @@ class WorldConfig:
     """Number of plots along y, n_py (1 to 256)."""
     vdf_cycle: int = 30
     """VDF update cycle t_v, s."""
-    aoi_max: int = 5
+    aoi_max: ClassVar[int] = 5
     """Largest age of information, AoI_max, units."""
-    vdf_max: int = 5
+    vdf_max: ClassVar[int] = 5
     """Largest visual data freshness counter, VDF_max, units."""
     steps: int = 500
     """Steps of one episode, lambda'_max."""
@@ -86,15 +86,12 @@ class WorldConfig:
         positive(
             field_x=self.field_x,
             field_y=self.field_y,
-            height_communication=self.height_communication,
-            height_monitoring=self.height_monitoring,
-            height_collection=self.height_collection,
             speed_x_max=self.speed_x_max,
             speed_y_max=self.speed_y_max,
             step_seconds=self.step_seconds,
         )
         not_negative(sensor_spacing=self.sensor_spacing)
-        within(1, 1_000_000, steps=self.steps, aoi_max=self.aoi_max, vdf_max=self.vdf_max)
+        within(1, 1_000_000, steps=self.steps)
         if not self.sensor_cycles:
             raise ConfigError("sensor_cycles must name at least one sensor type.")
         if not math.isfinite(self.safety_distance):

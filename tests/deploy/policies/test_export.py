@@ -100,13 +100,13 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
         assert json.loads(metadata["origin"])["seed"] == "3"
 
 
-def test_what_was_trained_with_every_aid_is_exported(tmp_path):
-    """Models of MASAC's actors, whose observations were standardised, act as these without noise do."""
+def test_what_masac_trained_is_exported(tmp_path):
+    """Models of MASAC's actors act as these without noise do."""
     team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
     config = replace(
         preset("eia-sec").with_algorithm("masac"),
         env=EnvConfig("some.module:env"),
-        algorithm=MasacConfig(hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
+        algorithm=MasacConfig(hidden=8, batch=16, actor_rate=0.05),
         replay=ReplayConfig(capacity=320, warmup_steps=0),
     )
     flag = np.full(200, TRANSITION, np.uint8)

@@ -125,14 +125,13 @@ class Oracle:
 
     def _targets(self, batch, following: list[Tensor]) -> list[Tensor]:
         config = self.config
-        deciders = self.target_actors if config.target_actor else self.actors
         with torch.no_grad():
-            decided = [decider(o) for decider, o in zip(deciders, following, strict=True)]
+            decided = [actor(o) for actor, o in zip(self.actors, following, strict=True)]
             targets = []
             for i, critic in enumerate(self.target_critics):
                 x = self.view(i, following, decided)
                 value = self.mix(critic(x), self.target_members[self.kind[i]], x, config.bootstrap == "mixture")
-                going_on = batch.discount * (1 - batch.terminated)
+                going_on = config.discount * (1 - batch.terminated)
                 targets.append(config.reward_scale * batch.reward[:, i] + going_on * value)
         return targets
 
@@ -197,5 +196,3 @@ class Oracle:
             p.grad = g
         self.clip(self.actors)
         self.actor_optimiser.step()
-        for target, actor in zip(self.target_actors, self.actors, strict=True):
-            follow(target, actor, config.target_rate)

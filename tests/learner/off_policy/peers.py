@@ -64,7 +64,7 @@ class Peer(Oracle):
         following = self.split(batch.next_observation, "observation_size")
         with torch.no_grad():
             targets = [
-                self.config.reward_scale * batch.reward[:, i] + batch.discount * (1 - batch.terminated) * value
+                self.config.reward_scale * batch.reward[:, i] + self.config.discount * (1 - batch.terminated) * value
                 for i, value in enumerate(self.bootstrap(following, noise))
             ]
         for i, (values, target) in enumerate(

@@ -40,7 +40,6 @@ def batch(rows, seed=0):
         normal(rows, TEAM.agents),
         normal(rows, TEAM.observation_size),
         torch.zeros(rows),
-        torch.full((rows,), 0.9),
     )
 
 
@@ -68,13 +67,12 @@ def test_spread_is_the_members_standard_deviation():
 
 
 def engine_actions(engine, rows):
-    return TeamActors(TEAM, 8, engine.export_actors()).act(rows.observation.numpy())
+    return TeamActors(TEAM, 8, engine.algorithm.actors.export()).act(rows.observation.numpy())
 
 
 def test_gradient_norms_are_of_each_agents_own_networks():
     """Norms of critic and actor gradients by agent are those of the networks' slices, and all agents differ."""
-    config = EiaSecConfig(hidden=8, batch=16, initialisation="independent")
-    engine = Engine(config, TEAM, 5)
+    engine = Engine(EiaSecConfig(hidden=8, batch=16), TEAM, 5)
     diagnostics = engine.update(batch(16), diagnostics=True)
     wanted = []
     for kind, group in enumerate(TEAM.groups):
@@ -153,12 +151,11 @@ def test_overestimation_is_q_less_what_was_realised():
     assert running.by_type()["realised_return/a"] == pytest.approx(float(returns[counted][:, :2].mean()), abs=1e-5)
 
 
-@pytest.mark.parametrize("normalised", [True, False])
-def test_realised_returns_are_in_the_units_of_the_targets(normalised):
-    """With reward normalisation ten times the rewards give the same diagnostics; without it ten times as large ones."""
+def test_realised_returns_are_in_the_units_of_the_targets():
+    """Half the reward scale and ten times the rewards give five times as large diagnostics."""
     reported = []
-    for factor in (1.0, 10.0):
-        algorithm = EiaSecConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
+    for factor, scale in ((1.0, 1.0), (10.0, 0.5)):
+        algorithm = EiaSecConfig(hidden=8, batch=64, reward_scale=scale)
         config = replace(preset("eia-sec"), algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
         trainer, random = OffPolicyTrainer(config, TEAM), np.random.default_rng(3)
         shapes = ((256, TEAM.observation_size), (256, TEAM.action_size), (256, TEAM.agents))
@@ -169,7 +166,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
         trainer.absorb(Chunk(Rows(seen, done, (paid + 1.0) * np.float32(factor), flag)))
         trainer.train(RETURN_PERIOD + 1)
         reported.append(trainer.diagnostics.by_type()["realised_return/a"])
-    assert reported[1] == pytest.approx(reported[0] if normalised else 10.0 * reported[0], rel=1e-3)
+    assert reported[1] == pytest.approx(5.0 * reported[0], rel=1e-3)
     assert reported[0] > 0.1
 
 

@@ -12,7 +12,7 @@ from tests.learner.on_policy.test_updates import networks
 
 CASES = {
     "ippo": ("ippo", {}),
-    "ippo separate": ("ippo", {"shared_until": 0.0, "initialisation": "independent", "time_limit": "bootstrap"}),
+    "ippo separate": ("ippo", {"shared_until": 0.0, "time_limit": "bootstrap"}),
     "ippo whole chunks": ("ippo", {"sequence_steps": 20, "minibatch_steps": 20}),
     "ippo decoupled": ("ippo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo": ("mappo", {"target_kl": 0.0}),

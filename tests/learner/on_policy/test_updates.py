@@ -10,7 +10,7 @@ from tests.learner.on_policy.small_runs import ENDS, TEAM, chunk, configured, mo
 
 CASES = {
     "ippo": ("ippo", {}),
-    "ippo separate": ("ippo", {"shared_until": 0.0, "initialisation": "independent"}),
+    "ippo separate": ("ippo", {"shared_until": 0.0}),
     "ippo bootstrapped": ("ippo", {"time_limit": "bootstrap"}),
     "ippo without clips": ("ippo", {"gradient_clip": 0.0, "clip": 1e6, "target_kl": 0.0}),
     "ippo tight clips": ("ippo", {"gradient_clip": 0.01, "clip": 0.02, "target_kl": 0.0}),
@@ -27,7 +27,7 @@ CASES = {
     "mappo decoupled": ("mappo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo separate": ("mappo", {"shared_until": 0.0, "gae_lambda": 0.5}),
     "eia-ppo": ("eia-ppo", {"target_kl": 0.0}),
-    "eia-ppo shared": ("eia-ppo", {"shared_until": 1.0, "ensemble_members": 3, "mixture_epsilon": 0.4}),
+    "eia-ppo shared": ("eia-ppo", {"shared_until": 1.0, "ensemble_members": 3}),
     "eia-ppo without ensemble": ("eia-ppo", {"ensemble": False, "target_kl": 0.0}),
 }
 

@@ -21,7 +21,6 @@ from eia_sec.learner.registry import OFF_POLICY
 from research.benchmarks import learner
 from research.benchmarks.peers.catalogue import ROOT
 from tests.learner.off_policy.test_engine import batches
-from tests.learner.off_policy.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 6, 1)))
 SMALL = EiaSecConfig(hidden=5, batch=7)
@@ -71,7 +70,6 @@ def beyond_the_action(config):
 def test_operations_are_those_that_torch_counts(name):
     """The engine's products by torch are those and what goes down beyond the actions."""
     config = learner.configured(name, replace(SMALL, hidden=64))
-    config = variant(config, config.name, actor_delay=3)
     engine, updates = Engine(config, TEAM, 0, cores=0), 6
     with FlopCounterMode(display=False) as counter:
         for batch in batches(TEAM, config, updates, torch.float32):
@@ -134,13 +132,10 @@ def test_what_cannot_be_is_refused(arguments, sentence, monkeypatch, capsys):
     assert capsys.readouterr().err == f"eia-sec: {sentence}\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "delay", "updates"), [("base", 3, 2), ("matd3", 1, 2), ("matd3", 2, 2), ("matd3", 3, 3)]
-)
-def test_bursts_are_whole_cycles(name, delay, updates):
-    """A burst has two updates, or more where the kinds of update take longer to repeat."""
-    config = learner.configured(name)
-    assert learner.burst_of(variant(config, config.name, actor_delay=delay)) == updates
+@pytest.mark.parametrize("name", learner.TIMED)
+def test_bursts_are_whole_cycles(name):
+    """A burst has two updates, so that both kinds of MATD3's are in it."""
+    assert learner.burst_of(learner.configured(name)) == 2
 
 
 class Clock:

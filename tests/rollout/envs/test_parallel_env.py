@@ -23,28 +23,30 @@ from eia_sec.rollout.envs.episodes import EpisodeStream
 from eia_sec.rollout.envs.parallel_env import env, parallel_env
 from eia_sec.rollout.envs.spaces import observation_bounds
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
+from tests.constants import with_constants
 
 PLAIN = preset("study").farm
 SHORT = replace(PLAIN, world=WorldConfig(steps=12, start_levels="random"))
 LOPSIDED = replace(
     PLAIN,
-    world=WorldConfig(
-        communication_uavs=2,
-        monitoring_uavs=1,
-        collection_uavs=3,
-        field_x=120.0,
-        field_y=60.0,
+    world=with_constants(
+        WorldConfig(
+            communication_uavs=2,
+            monitoring_uavs=1,
+            collection_uavs=3,
+            field_x=120.0,
+            field_y=60.0,
+            sensors=12,
+            plots_x=3,
+            plots_y=2,
+            steps=60,
+            start_levels="random",
+            cycle_phase="random",
+        ),
         height_communication=60.0,
-        height_monitoring=20.0,
         height_collection=5.0,
-        sensors=12,
-        plots_x=3,
-        plots_y=2,
-        steps=60,
-        start_levels="random",
-        cycle_phase="random",
     ),
-    radio=RadioConfig(sensor_power_dbm=20.0),
+    radio=with_constants(RadioConfig(), sensor_power_dbm=20.0),
     relay=RelayConfig(capacity=4),
 )
 LONELY = FarmConfig(

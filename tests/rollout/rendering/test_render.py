@@ -26,6 +26,7 @@ from eia_sec.rollout.rendering.render import Renderer, Terminal, Window
 from eia_sec.rollout.rendering.scene import TRAIL_STEPS, Observer, camera_radius, radio_radius
 from eia_sec.rollout.rendering.terminal import EXTRA_LINES, fitting_width, terminal_text
 from eia_sec.rollout.sim.batch import FarmBatch
+from tests.constants import with_constants
 
 SPARSE = FarmConfig(
     world=WorldConfig(
@@ -117,7 +118,7 @@ def test_uavs_stand_where_they_are():
 
 def test_plots_have_the_colour_of_their_vdf():
     """Each plot's pixels show its own level: not mirrored, not turned, and anew after every change."""
-    batch, observer = observed(replace(SPARSE, camera=CameraConfig(image_distance=1.0)))
+    batch, observer = observed(replace(SPARSE, camera=with_constants(CameraConfig(), image_distance=1.0)))
     drawer = FarmPicture(observer.scene())
     for seed in range(2):
         batch.vdf[0] = np.random.default_rng(seed).integers(0, 6, (4, 4))
@@ -158,7 +159,7 @@ def test_links_run_from_relay_to_served():
 
 def test_circles_have_their_radius():
     """The outline of each circle is found at its radius from its UAV, in the UAV's colour."""
-    config = replace(SPARSE, camera=CameraConfig(image_distance=50.0))
+    config = replace(SPARSE, camera=with_constants(CameraConfig(), image_distance=50.0))
     _, observer = observed(config)
     drawer, pixels = picture_of(observer)
     for name, (x, y), radius in (
@@ -177,11 +178,13 @@ def test_circles_have_their_radius():
 def test_radii_by_hand():
     """sqrt(25^2 - 20^2) = 15 m for cameras; the radio reaches some 30 m, farther with more power, or nowhere."""
     assert camera_radius(FarmConfig()) == pytest.approx(15.0)
-    assert camera_radius(FarmConfig(camera=CameraConfig(image_distance=10.0))) == 0.0
+    assert camera_radius(FarmConfig(camera=with_constants(CameraConfig(), image_distance=10.0))) == 0.0
     assert 28.0 < radio_radius(FarmConfig()) < 35.0
-    assert radio_radius(FarmConfig(radio=RadioConfig(sensor_power_dbm=12.0))) > 35.0
-    assert radio_radius(FarmConfig(radio=RadioConfig(sensor_power_dbm=-100.0))) == 0.0
-    assert radio_radius(FarmConfig(radio=RadioConfig(sensor_power_dbm=200.0))) == pytest.approx(np.hypot(400, 400))
+    assert radio_radius(FarmConfig(radio=with_constants(RadioConfig(), sensor_power_dbm=12.0))) > 35.0
+    assert radio_radius(FarmConfig(radio=with_constants(RadioConfig(), sensor_power_dbm=-100.0))) == 0.0
+    assert radio_radius(FarmConfig(radio=with_constants(RadioConfig(), sensor_power_dbm=200.0))) == pytest.approx(
+        np.hypot(400, 400)
+    )
 
 
 def test_a_scene_remembers_the_way():
@@ -217,7 +220,7 @@ def test_the_readings_are_those_of_the_batch():
 
 def test_the_text_shows_uavs_plots_and_sensors():
     """Each UAV's letter and number stand in its cell; plots and waiting sensors have their colours."""
-    batch, observer = observed(replace(SPARSE, camera=CameraConfig(image_distance=1.0)))
+    batch, observer = observed(replace(SPARSE, camera=with_constants(CameraConfig(), image_distance=1.0)))
     batch.vdf[0] = np.arange(16).reshape(4, 4) % 6
     batch.aoi[0] = 5.0
     text = terminal_text(observer.scene(), 40)

@@ -19,6 +19,7 @@ from eia_sec.rollout.sim.core.radio import draw
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm, packet_draw
 from eia_sec.rollout.sim.start import start_positions
+from tests.constants import with_constants
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
 PLANNING = replace(SHORT, observation=replace(SHORT.observation, plan=6))
@@ -209,7 +210,9 @@ def test_packets_are_drawn_alike_in_kernel_and_reference():
 
 def test_deliveries_follow_the_packet_loss():
     """Over many episodes the credits are in the mean what the chances of the packets in the air add up to."""
-    config = replace(SHORT, world=replace(SHORT.world, steps=1), radio=RadioConfig(sensor_power_dbm=5.0))
+    config = replace(
+        SHORT, world=replace(SHORT.world, steps=1), radio=with_constants(RadioConfig(), sensor_power_dbm=5.0)
+    )
     credit, expected = np.zeros(300), np.zeros(300)
     batch = FarmBatch(config, 1)
     for index in range(300):
@@ -259,8 +262,8 @@ def test_start_positions_are_drawn_one_after_the_other():
 def test_the_supply_of_an_episode_bounds_what_is_credited():
     """UAVs that serve everything except when counters rise get 6400 units of VDF and, but for the last, 4000 of AoI."""
     everything = FarmConfig(
-        radio=RadioConfig(sensor_power_dbm=90.0),
-        camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0),
+        radio=with_constants(RadioConfig(), sensor_power_dbm=90.0),
+        camera=with_constants(CameraConfig(), image_distance=1000.0, plot_threshold=1.0),
         relay=RelayConfig(require_link=True, capacity=8),
     )
     batch = FarmBatch(everything, 1)
@@ -280,7 +283,7 @@ def test_the_supply_of_an_episode_bounds_what_is_credited():
 
 def test_a_counter_that_is_served_while_it_rises_pays_nothing():
     """Read literally, delivery takes precedence over the rise, so permanent service never earns a unit."""
-    everything = FarmConfig(camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0))
+    everything = FarmConfig(camera=with_constants(CameraConfig(), image_distance=1000.0, plot_threshold=1.0))
     batch = FarmBatch(everything, 1)
     batch.reset(0, 0, 0)
     for _ in range(100):
@@ -291,7 +294,10 @@ def test_a_counter_that_is_served_while_it_rises_pays_nothing():
 
 def test_counters_rise_with_their_cycles_and_stop_at_their_caps():
     """Where nobody collects, AoI is floor(t / cycle) and VDF floor(t / 30), both at most 5."""
-    nothing = FarmConfig(radio=RadioConfig(sensor_power_dbm=-100.0), camera=CameraConfig(image_distance=1.0))
+    nothing = FarmConfig(
+        radio=with_constants(RadioConfig(), sensor_power_dbm=-100.0),
+        camera=with_constants(CameraConfig(), image_distance=1.0),
+    )
     batch = FarmBatch(nothing, 1)
     batch.reset(0, 0, 0)
     cycle = batch.layout(0).sensor_cycle_steps

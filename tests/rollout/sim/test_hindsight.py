@@ -18,6 +18,7 @@ from eia_sec.common.config import (
 )
 from eia_sec.rollout.envs.registry import make_environments
 from eia_sec.rollout.sim.batch import FarmBatch
+from tests.constants import with_constants
 
 STEPS = 120
 EVERYTHING = FarmConfig(
@@ -34,9 +35,9 @@ EVERYTHING = FarmConfig(
         vdf_cycle=10,
         steps=STEPS,
     ),
-    radio=RadioConfig(sensor_power_dbm=90.0),
+    radio=with_constants(RadioConfig(), sensor_power_dbm=90.0),
     observation=ObservationConfig(sensors=1),
-    camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0),
+    camera=with_constants(CameraConfig(), image_distance=1000.0, plot_threshold=1.0),
     relay=RelayConfig(require_link=True, link_range=20.0),
 )
 """One UAV of each type, which serves its only plot or sensor in every step in which the relay is near."""

@@ -9,6 +9,7 @@ from eia_sec.rollout.sim.core.motion import flight_power as compiled_flight_powe
 from eia_sec.rollout.sim.core.radio import delivery, received_power
 from eia_sec.rollout.sim.reference.farm import free_space_loss, noise_mw, packet_loss, received_mw, vegetation_loss
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
+from tests.constants import with_constants
 
 PRINTED = EnergyConfig(model="printed")
 PHYSICAL = EnergyConfig(model="physical")
@@ -72,7 +73,7 @@ def test_losses_at_twenty_metres():
 )
 def test_packet_loss_is_what_the_readings_say(power_dbm, distance, plr, tolerance):
     """PLR over distance, in the reference and in the kernel."""
-    radio = RadioConfig(sensor_power_dbm=power_dbm)
+    radio = with_constants(RadioConfig(), sensor_power_dbm=power_dbm)
     reference = packet_loss(radio, received_mw(radio, distance) / noise_mw(radio))
     assert reference == pytest.approx(plr, abs=tolerance)
     assert kernel_plr(radio, distance) == pytest.approx(reference, abs=1e-12)
@@ -80,7 +81,7 @@ def test_packet_loss_is_what_the_readings_say(power_dbm, distance, plr, toleranc
 
 def test_reach_ends_where_packets_have_no_chance():
     """Just inside the reach a packet has more than the least chance, just outside less."""
-    for radio in (RadioConfig(), RadioConfig(sensor_power_dbm=0.0)):
+    for radio in (RadioConfig(), with_constants(RadioConfig(), sensor_power_dbm=0.0)):
         config = FarmConfig(radio=radio)
         c, height = numbers(config).radio, config.world.height_collection
         assert height < c.reach < 100.0
@@ -91,7 +92,7 @@ def test_reach_ends_where_packets_have_no_chance():
 
 def test_whole_numbers_in_a_configuration_become_the_kernels_floats():
     """An integer field size, speed or weight changes no type that the kernel is compiled for."""
-    whole = numbers(FarmConfig(world=WorldConfig(field_x=400, height_monitoring=20, speed_x_max=10)))
+    whole = numbers(FarmConfig(world=with_constants(WorldConfig(field_x=400, speed_x_max=10), height_monitoring=20)))
     for ours, usual in zip(whole, numbers(FarmConfig()), strict=True):
         for a, b in zip(ours, usual, strict=True):
             assert type(a) is type(b)

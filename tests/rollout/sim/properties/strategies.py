@@ -22,6 +22,7 @@ from eia_sec.rollout.sim.core.cells import cell_counts
 from eia_sec.rollout.sim.layout import Layout, make_layout
 from eia_sec.rollout.sim.reference import farm
 from eia_sec.rollout.sim.start import start_positions
+from tests.constants import with_constants
 
 DOSE = os.environ.get("EIA_SEC_PROPERTIES", "fixed")
 """fixed: the same few examples every time; plain: these, and failures are not made small; many: random ones."""
@@ -79,6 +80,25 @@ SIDES = st.one_of(st.sampled_from([40.0, 90.0, 170.0, 400.0]), st.floats(40.0, 4
 PLOT_SIDES = st.sampled_from([4.0, 7.0, 12.5, 20.0, 40.0])
 SIGNED = st.sampled_from([-1.0, 0.0, 0.25, 1.0, 6.0])
 
+CONSTANTS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
+    "world": {
+        "aoi_max": st.integers(1, 6),
+        "vdf_max": st.integers(1, 6),
+        "height_communication": st.sampled_from([18.0, 22.0, 60.0]),
+        "height_monitoring": st.sampled_from([5.0, 18.0, 20.0]),
+        "height_collection": st.sampled_from([2.0, 18.0, 22.0]),
+    },
+    "radio": {"sensor_power_dbm": st.sampled_from([-60.0, -10.0, 0.0, 10.0, 30.0, 90.0])},
+    "camera": {
+        "image_distance": st.sampled_from([4.1237, 19.1357, 25.3712, 40.7172, 120.0, 1000.0]),
+        "plot_threshold": st.sampled_from([0.0, 0.3, 0.75, 1.0]),
+    },
+    "reward": dict.fromkeys(
+        ("monitoring_idle", "monitoring_motivation", "collection_idle", "collection_motivation"), SIGNED
+    ),
+}
+"""Constants that are no options, by section."""
+
 
 def on_lattice(world: WorldConfig) -> bool:
     """Return whether plots end at binary fractions, so that distances between what stands there are exact."""
@@ -113,17 +133,14 @@ def worlds(
         sensor_spacing=draw(st.sampled_from([0.0, 0.2, 0.4])) * (ground["field_x"] * ground["field_y"] / number) ** 0.5,
         sensor_cycles=tuple(draw(st.lists(cycles, min_size=1, max_size=4))),
         vdf_cycle=draw(cycles),
-        aoi_max=draw(st.integers(1, 6)),
-        vdf_max=draw(st.integers(1, 6)),
         steps=draw(st.integers(1, 30)),
         step_seconds=seconds,
         speed_x_max=draw(st.sampled_from([0.5, 4.0, 10.0, 40.0])),
         speed_y_max=draw(st.sampled_from([0.5, 4.0, 10.0, 40.0])),
-        height_communication=draw(st.sampled_from([18.0, 22.0, 60.0])),
-        height_monitoring=draw(st.sampled_from([5.0, 18.0, 20.0])),
-        height_collection=draw(st.sampled_from([2.0, 18.0, 22.0])),
         **ground,
     )
+    constants = {name: draw(choice) for name, choice in CONSTANTS["world"].items()}
+    world = with_constants(world, **constants)
     return replace(world, **{name: draw(choice) for name, choice in switches(WorldConfig).items()})
 
 
@@ -133,13 +150,6 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
     least = -(-served // world.communication_uavs)
     weights = typing.get_type_hints(sections()["reward"]).items()
     return {
-        "radio": {
-            "sensor_power_dbm": st.sampled_from([-60.0, -10.0, 0.0, 10.0, 30.0, 90.0]),
-        },
-        "camera": {
-            "image_distance": st.sampled_from([4.1237, 19.1357, 25.3712, 40.7172, 120.0, 1000.0]),
-            "plot_threshold": st.sampled_from([0.0, 0.3, 0.75, 1.0]),
-        },
         "relay": {
             "capacity": st.one_of(st.just(0), st.integers(least, least + 4)),
             "link_range": st.sampled_from([30.0, 61.5, 150.0]),
@@ -172,6 +182,8 @@ def farm_configs(draw: st.DrawFn, world: st.SearchStrategy[WorldConfig] | None =
         for name, kind in sections().items()
         if name != "world"
     }
+    for name in parts.keys() & CONSTANTS.keys():
+        parts[name] = with_constants(parts[name], **{key: draw(choice) for key, choice in CONSTANTS[name].items()})
     if parts["dynamics"].inertial:
         parts["observation"] = replace(parts["observation"], route=False, plan=0)
     return FarmConfig(world=place, **parts)

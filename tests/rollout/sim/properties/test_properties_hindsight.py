@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from eia_sec.common.config import FarmConfig
 from eia_sec.rollout.sim.batch import FarmBatch
+from tests.constants import with_constants
 from tests.rollout.sim.course import STARTING, STEPPING, begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_reference import TOGETHER
@@ -22,7 +23,7 @@ def countable(config: FarmConfig) -> FarmConfig:
 
 
 FARMS = farm_configs(SMALL).map(countable)
-LONGER = replace(TOGETHER.config.world, steps=60, vdf_max=2)
+LONGER = with_constants(replace(TOGETHER.config.world, steps=60), vdf_max=2)
 PLAY = replace(TOGETHER, config=countable(replace(TOGETHER.config, world=LONGER)))
 """Many visits of every plot, some of them after the counter has reached its cap."""
 

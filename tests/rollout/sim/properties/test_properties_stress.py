@@ -10,6 +10,7 @@ from eia_sec.common.config import FarmConfig, StressConfig
 from eia_sec.common.config.farm.polygons import Polygon
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.conditions.stress import patches
+from tests.constants import with_constants
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
 from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit, with_seen
@@ -83,7 +84,7 @@ def test_stress_of_no_growth_changes_nothing(flight: Flight, stress: StressConfi
 def test_counters_rise_faster_in_a_patch_and_as_before_after_it():
     """A plot that nobody visits rises at the multiples of its cycle, which is shorter while a patch covers it."""
     config = FarmConfig(stress=StressConfig(patches=1, radius=1000.0, growth=3, seconds=100.0))
-    config = replace(config, camera=replace(config.camera, image_distance=1.0))
+    config = replace(config, camera=with_constants(config.camera, image_distance=1.0))
     farms = FarmBatch(config, 1)
     farms.reset(0, 3, 1)
     first, end = patches(config, 3, 1).time[0]
@@ -143,7 +144,7 @@ def test_counters_in_areas_rise_at_their_own_cycles_from_the_start():
     config = FarmConfig(
         stress=StressConfig(patches=1, radius=1000.0, growth=5, seconds=60.0, areas=((2, LEFT), (3, LOWER)))
     )
-    config = replace(config, camera=replace(config.camera, image_distance=1.0))
+    config = replace(config, camera=with_constants(config.camera, image_distance=1.0))
     farms = FarmBatch(config, 1)
     farms.reset(0, 3, 1)
     first, end = patches(config, 3, 1).time[0]

@@ -20,6 +20,7 @@ from eia_sec.common.farm import farm_team
 from eia_sec.rollout.sim.batch import REWARD_PARTS, FarmBatch
 from eia_sec.rollout.sim.layout import Layout
 from eia_sec.rollout.sim.start import start_levels
+from tests.constants import with_constants
 from tests.rollout.sim.properties.strategies import (
     Flight,
     dose,
@@ -103,7 +104,7 @@ def lattice_flights(draw: st.DrawFn) -> Flight:
     """Draw a farm whose plots and speeds are binary fractions, and whose packets need no luck."""
     config: FarmConfig = draw(instant_farms(farm_configs(worlds(st.integers(1, 6), 60, lattice=True))))
     config = replace(config, observation=without_added(config.observation))
-    config = replace(config, radio=replace(config.radio, sensor_power_dbm=90.0))
+    config = replace(config, radio=with_constants(config.radio, sensor_power_dbm=90.0))
     manner = draw(st.sampled_from(["uniform", "lasting", "saturated", "hovering", "corners"]))
     return Flight(config, draw(st.integers(0, 500)), draw(st.integers(0, 500)), draw(GROUNDS), "seeded", manner)
 
