@@ -170,10 +170,6 @@ class Replay:
         self.drawn += count
         versions = self.version[places]
         self.drawn_version, self.drawn_oldest = float(versions.mean()), int(versions.min())
-        return self.transitions_from(places)
-
-    def transitions_from(self, places: Places) -> Batch:
-        """Return the transitions that start at these rows, each of which has a step."""
         here = torch.from_numpy(places).to(self._device)
         terminated = (self.flag[places] & TERMINATED) != 0
         following = torch.from_numpy(self.successor[places]).to(self._device)
