@@ -41,8 +41,7 @@ class Measuring:
 
     def along(self, config: RunConfig) -> range:
         """Return the seeds of the scenarios along a training; it never sees them."""
-        first = config.evaluation.first_farm
-        return range(first, first + self.scenarios)
+        return config.unseen(self.scenarios)
 
     def final(self, config: RunConfig) -> range:
         """Return those at its end, which are others."""
