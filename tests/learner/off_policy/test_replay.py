@@ -182,7 +182,7 @@ class World:
             for _ in range(steps):
                 way = self.draw.choice([0, TERMINATED, TRUNCATED], p=[0.8, 0.1, 0.1])
                 following, reward = self._fresh(), float(self.draw.normal())
-                self.known[here] = (reward, way == TERMINATED, following)
+                self.known[here] = (reward, float(way == TERMINATED), following)
                 rows.append((here, reward, TRANSITION | int(way)))
                 here = following
                 if way:
