@@ -118,10 +118,15 @@ class _PettingZoo:
         from eia_sec.rollout.envs.pettingzoo_actions import RowActions  # noqa: PLC0415  (pettingzoo loads only for its users)
         from eia_sec.rollout.envs.pettingzoo_observations import RowObservations  # noqa: PLC0415  (likewise)
         from eia_sec.rollout.envs.pettingzoo_spec import describe, make_parallel  # noqa: PLC0415  (likewise)
+        from eia_sec.rollout.envs.vectorised import VectorisedBatch, vectorised_class  # noqa: PLC0415  (likewise)
 
         boxes = not any(group.choices for group in team.groups)
-        with closing(make_parallel(config, boxes=boxes)) as made:
-            agents = describe(made, config.types)
+        if vectorised_class(config.name) is not None:
+            with closing(VectorisedBatch(config, 1, threads=1)) as batch:
+                agents = batch.agents
+        else:
+            with closing(make_parallel(config, boxes=boxes)) as made:
+                agents = describe(made, config.types)
         if agents.team != team:
             raise PolicyError(f"the policy is for another team than {config.name} has.")
         self._rows, self._actions = RowObservations(agents.views), RowActions(agents.actions)

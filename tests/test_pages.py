@@ -30,7 +30,7 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
     assert names["run"].environment_steps >= 2000
 
 
-@pytest.mark.parametrize("page", ["python.md", "plugins.md"])
+@pytest.mark.parametrize("page", ["python.md", "plugins.md", "own_environment.md"])
 def test_pieces_on_a_page_are_those_of_the_examples(page):
     """A class on a page is the one in the examples, which other tests run."""
     held = "\n".join(path.read_text(encoding="utf-8") for path in EXAMPLES.rglob("*.py"))

@@ -29,8 +29,8 @@ class EnvConfig:
 
     name: str = FARM
     """farm or another environment of this package; module:name of a PettingZoo parallel environment or of a callable
-    that returns one, for instance mpe2:simple_spread_v3; or zenoh:NAME of environments that others serve, NAME with `*`
-    for any letters."""
+    that returns one, for instance mpe2:simple_spread_v3; vmas:SCENARIO or jaxmarl:NAME; or zenoh:NAME of environments
+    that others serve, NAME with `*` for any letters."""
     arguments: str = "{}"
     """Keyword arguments of the environment as a JSON object, for instance {"N": 3}."""
     types: Mapping[str, str] = FrozenMap()

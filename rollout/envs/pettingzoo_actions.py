@@ -90,6 +90,15 @@ class RowActions:
         taken = dict(zip(self._names, self._each(row), strict=True))
         return taken if len(present) == len(taken) else {name: taken[name] for name in self._names if name in present}
 
+    def columns(self, rows: Float32) -> dict[Any, NDArray[Any]]:
+        """Return the actions [E, ...] of each agent in all environments of a batch, in its space.
+
+        Args:
+            rows: [E, A], the result of `in_range`.
+        """
+        parts = zip(self._names, self._spaces, self._parts, strict=True)
+        return {name: _column(rows[:, part], space) for name, space, part in parts}
+
     def _each(self, row: Float32) -> list[Any]:
         """Return all agents' actions in row order; teams of one kind are converted at once."""
         if self._starts is not None:
@@ -99,6 +108,18 @@ class RowActions:
             low, high = self._alike
             return list(np.clip(row.astype(low.dtype).reshape(low.shape), low, high))
         return [_converted(row[part], space) for space, part in zip(self._spaces, self._parts, strict=True)]
+
+
+def _column(numbers: Float32, space: spaces.Space[Any]) -> NDArray[Any]:
+    """Return one agent's actions [E, a] as its space wants them, [E, ...]."""
+    if isinstance(space, spaces.Discrete):
+        chosen: NDArray[Any] = numbers[:, 0].astype(np.int64) + space.start
+        return chosen
+    if isinstance(space, spaces.Box) and space.dtype in (np.float32, np.float64):
+        plain = numbers.reshape(len(numbers), *space.shape).astype(space.dtype)
+        inside: NDArray[Any] = np.clip(plain, space.low, space.high)
+        return inside
+    return np.stack([np.asarray(_converted(row, space)) for row in numbers])
 
 
 def _starts(found: Sequence[spaces.Space[Any]]) -> NDArray[np.int64] | None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from gymnasium import spaces
 
@@ -85,7 +85,22 @@ def _suitable(config: EnvConfig, make: Callable[..., Any], environment: Guard, *
     )
 
 
-def describe(environment: Guard, prefixes: Mapping[str, str]) -> Agents:
+class Describable(Protocol):
+    """What tells of the agents of an environment."""
+
+    possible_agents: list[Any]
+
+    def observation_space(self, agent: Any, /) -> spaces.Space[Any]:
+        """Return an agent's observation space."""
+
+    def action_space(self, agent: Any, /) -> spaces.Space[Any]:
+        """Return an agent's action space."""
+
+    def reset(self, seed: int) -> tuple[Mapping[Any, Any], Mapping[Any, Any]]:
+        """Begin an episode; return observations and infos by agent."""
+
+
+def describe(environment: Describable, prefixes: Mapping[str, str]) -> Agents:
     """Return the agents of an environment, grouped into types.
 
     Agents form a type if their names share the longest matching prefix of the map. Without a match, agents whose names
@@ -158,7 +173,7 @@ def _shape(space: spaces.Space[Any], view: AgentView) -> _Shape:
     return _Shape(view.size, action_size(space), choices_of(space), view.masked, view.image)
 
 
-def _views(environment: Guard) -> dict[Any, AgentView]:
+def _views(environment: Describable) -> dict[Any, AgentView]:
     """Return how each agent's observation becomes numbers, in the environment's own order."""
     agents = environment.possible_agents
     choices = {name: choices_of(environment.action_space(name)) for name in agents}

@@ -43,8 +43,19 @@ def _pettingzoo(config: RunConfig, count: int, patience: Patience | None, reach:
         if reach is None:
             raise ConfigError(f"{config.env.name} is reached from train, rollout and evaluate only.")
         make = ServedEnvironments(reach, config.env.served).make
+    elif (vectorised := _vectorised(config, count)) is not None:
+        return vectorised
     boxes = not config.algorithm.discrete_actions
     return PettingZooBatch(config.env, count, boxes=boxes, patience=patience, make=make)
+
+
+def _vectorised(config: RunConfig, count: int) -> Environments | None:
+    """Return environments that step as one batch, or None if the name stands for others."""
+    from eia_sec.rollout.envs.vectorised import VectorisedBatch, vectorised_class  # noqa: PLC0415  (likewise)
+
+    if vectorised_class(config.env.name) is None:
+        return None
+    return VectorisedBatch(config.env, count, config.rollout.threads)
 
 
 FACTORIES: Final[dict[str, Factory]] = {
@@ -97,7 +108,10 @@ def change_arguments(environments: Environments, arguments: str) -> None:
     from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
     if not isinstance(environments, PettingZooBatch):
-        raise ConfigError("only environments named as module:name take arguments that change while a run trains.")
+        raise ConfigError(
+            "only environments named as module:name that do not step as one batch take arguments that change while a "
+            "run trains."
+        )
     environments.change_arguments(arguments)
 
 

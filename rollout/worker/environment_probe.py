@@ -15,6 +15,7 @@ from eia_sec.common.protocol.messages import StepsMessage
 from eia_sec.common.protocol.view_checks import MOST_PICTURE, MOST_SIDE
 from eia_sec.common.team import Float32, slices
 from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch
+from eia_sec.rollout.envs.vectorised import VectorisedBatch
 from eia_sec.rollout.worker.probe import Probe
 
 LONGEST: Final = 500
@@ -55,7 +56,7 @@ class EnvironmentProbe(Probe[_Frame, StepsMessage]):
         silence: why nothing is to be drawn, a sentence, or empty.
     """
 
-    def __init__(self, batch: PettingZooBatch, index: int, pace: float, silence: str = "") -> None:
+    def __init__(self, batch: PettingZooBatch | VectorisedBatch, index: int, pace: float, silence: str = "") -> None:
         super().__init__(batch, index, LONGEST)
         self._batch, self._pace, self._forbidden = batch, pace, silence
         sizes = [group.observation_size for group in batch.team.groups for _ in range(group.count)]

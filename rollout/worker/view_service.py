@@ -203,9 +203,10 @@ def _probe(
         names: tuple[str, ...] = () if isinstance(environments, FollowedFarm) else REWARD_PARTS
         return FarmProbe(environments, 0, len(names)), replace(terms, part_names=names).encode()
     from eia_sec.rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
+    from eia_sec.rollout.envs.vectorised import VectorisedBatch  # noqa: PLC0415  (likewise)
     from eia_sec.rollout.worker.environment_probe import EnvironmentProbe  # noqa: PLC0415  (likewise)
 
-    if not isinstance(environments, PettingZooBatch):
+    if not isinstance(environments, PettingZooBatch | VectorisedBatch):
         raise TypeError(f"nothing records a {type(environments).__name__}.")
     environments.note_drawing = note_drawing
     names = tuple(printable(str(name))[:MOST_AGENT_NAME] for name in environments.names)

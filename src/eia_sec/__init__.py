@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from eia_sec.deploy.api import evaluate, load_policy, make_env, train
     from eia_sec.deploy.python.run import Run
     from eia_sec.rollout.agent_policy import Policy
+    from eia_sec.rollout.envs.vectorised import Vectorised
 
 __all__ = [
     "Callback",
@@ -30,6 +31,7 @@ __all__ = [
     "Policy",
     "Run",
     "TrainingProgress",
+    "Vectorised",
     "__version__",
     "evaluate",
     "load_policy",
@@ -41,6 +43,7 @@ _LAZY: Final = {
     **dict.fromkeys(("Plugin", "PluginAlgorithm", "PluginNetwork"), "eia_sec.common.plugins"),
     "Policy": "eia_sec.rollout.agent_policy",
     "Run": "eia_sec.deploy.python.run",
+    "Vectorised": "eia_sec.rollout.envs.vectorised",
     **dict.fromkeys(("evaluate", "load_policy", "make_env", "train"), "eia_sec.deploy.api"),
 }
 """Where the names are that are loaded when they are first used."""
