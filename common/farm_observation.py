@@ -23,6 +23,8 @@ SENSOR_SCALE: Final = 50.0
 """Offset to a sensor that is observed as 1, m; larger ones are clipped (ours, so that near sensors stay distinct)."""
 MOST_UNITS: Final = 2.0
 """Most units of one move that are seen, over their scale; two moves may bring twice as many (ours)."""
+MOST_RISK: Final = 4.0
+"""Most risk of a move that is held that is seen, over d_safety (ours)."""
 PLAN_LOSS: Final = 0.25
 """Loss that marks a plan with 1/e, as a share of a full item (ours)."""
 FIELD_SCALE: Final = 0.2
@@ -186,11 +188,8 @@ def _see_left(farm: FarmConfig, table: _Table) -> None:
 
 def _see_task(farm: FarmConfig, name: str, table: _Table) -> None:
     seen, world, monitor, held = farm.observation, farm.world, name == MONITORING, farm.dynamics.inertial
-    near, most = "SR over d_safety of each of nine moves, over the two nearest peers", 2.0 * STEP_ROUNDING
-    risk = f"{near}; mean over the peer's nine moves"
-    table.add(seen.closing, "closing", "risk, any", nine_names("risk_any"), 0, most, risk)
-    risk = f"{near}; the peer keeps its velocity"
-    table.add(seen.closing, "closing", "risk, same", nine_names("risk_same"), 0, most, risk)
+    if seen.closing:
+        _see_risk(held, table)
     unit = "VDF over its largest value" if monitor else "AoI over twice its largest value"
     brings = f"{unit} that each of nine moves would bring, clipped"
     table.add(seen.units > 0, "units", "units", nine_names("units_1"), 0, MOST_UNITS, brings)
@@ -237,6 +236,14 @@ def _see_task(farm: FarmConfig, name: str, table: _Table) -> None:
     table.add(joined, CHAIN, "joined", ["relay_joined"], 0, 1, "1 if the relay is joined")
     stressed = f"share of stressed plots {blocks} plots, x outer"
     table.add(seen.stress, "stress", "stress", _square("block_stress", BLOCKS), 0, 1, stressed)
+
+
+def _see_risk(held: bool, table: _Table) -> None:
+    near, most = "SR over d_safety of each of nine moves, over the two nearest peers", 2.0 * STEP_ROUNDING
+    table.add(True, "closing", "risk, any", nine_names("risk_any"), 0, most, f"{near}; mean over the peer's nine moves")
+    way = f", added up over {2 * HOLD} steps of it, clipped" if held else ""
+    on, most = f"{near}{way}; the peer keeps its velocity", MOST_RISK if held else most
+    table.add(True, "closing", "risk, same", nine_names("risk_same"), 0, most, on)
 
 
 def _see_served(farm: FarmConfig, table: _Table) -> None:

@@ -59,7 +59,7 @@ def train(
         environment: `farm`, module:name of a PettingZoo parallel environment, a class or a function that makes one, or
             a whole configuration.
         algorithm: name of the algorithm; by default that of the preset.
-        preset: what to begin from; by default `default` for the farm and `generic` for any other environment.
+        preset: what to begin from; by default `inertial` for the farm and `generic` for any other environment.
         seed: of the run.
         steps: environment steps that end the run; by default as the preset says.
         episodes: training episodes that end the run; with both, the first that is reached.
@@ -157,7 +157,7 @@ def load_policy(
 
 
 def make_env(
-    config: str | RunConfig = "default", settings: Settings | None = None, *, render_mode: str | None = None
+    config: str | RunConfig = "inertial", settings: Settings | None = None, *, render_mode: str | None = None
 ) -> FarmParallelEnv:
     """Return the farm as a PettingZoo `ParallelEnv`.
 

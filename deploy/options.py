@@ -36,7 +36,7 @@ SHORT: Final = {
 """Short names of options."""
 
 PRESET_HELP: Final = (
-    f"Configuration to begin from: {', '.join(PRESETS)}. Without it, the farm has default and any other environment "
+    f"Configuration to begin from: {', '.join(PRESETS)}. Without it, the farm has inertial and any other environment "
     "has generic."
 )
 

@@ -6,11 +6,11 @@ from typing import Final
 from eia_sec.common.errors import PolicyError
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
-TRAINED: Final = _SHIPPED / "default.safetensors"
-"""The policy of the default preset that ships with this package."""
-_OTHERS: Final = ("long", "connected", "failing", "uneven", "battery", "field", "eia-sec")
+TRAINED: Final = _SHIPPED / "inertial.safetensors"
+"""The policy of the preset `inertial`, which `eia-sec train` takes."""
+_OTHERS: Final = ("instant", "long", "connected", "failing", "uneven", "battery", "field", "eia-sec")
 SHIPPED: Final = {
-    "trained": ("default", TRAINED),
+    "trained": ("inertial", TRAINED),
     **{f"trained:{preset}": (preset, _SHIPPED / f"{preset}.safetensors") for preset in _OTHERS},
 }
 """Every policy that ships: its preset and its file by its name."""
@@ -41,4 +41,4 @@ def is_file(path: Path) -> bool:
 
 def preset_of(policy: str | None) -> str:
     """Return the preset on whose farm a policy flies unless a configuration is given."""
-    return SHIPPED[policy][0] if policy in SHIPPED else "default"
+    return SHIPPED[policy][0] if policy in SHIPPED else "inertial"

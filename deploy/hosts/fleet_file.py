@@ -46,7 +46,7 @@ class Training:
     """The learner's configuration."""
 
     preset: str = ""
-    """The preset that other values override. Default: `default` for the farm, `generic` for other environments."""
+    """The preset that other values override. Default: `inertial` for the farm, `generic` for other environments."""
     config: str = ""
     """TOML file whose values override the preset's; relative to the fleet file, like every path here."""
     farm_file: str = ""

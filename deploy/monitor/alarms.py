@@ -19,13 +19,14 @@ NAMED: Final = 3
 
 
 def examine(rows: Sequence[ProcessRow], training: bool, over: bool = False) -> tuple[tuple[ProcessRow, ...], list[str]]:
-    """Return the rows with those in trouble marked, and one alarm for each kind of trouble.
+    """Return the rows with those in trouble and those that left marked, and one alarm for each kind of trouble.
 
     Args:
         rows: the processes.
         training: whether the workers should produce steps.
         over: whether the run is finished or draining, so that processes leave as intended.
     """
+    rows = [replace(row, left=row.left or (over and not row.alive)) for row in rows]
     marked: set[tuple[str, str]] = set()
     sentences: list[str] = []
 
@@ -34,7 +35,7 @@ def examine(rows: Sequence[ProcessRow], training: bool, over: bool = False) -> t
             marked.update((row.role, row.name) for row in found)
             sentences.append(f"{_names(found)} {one if len(found) == 1 else many}")
 
-    alarm([row for row in rows if not (over or row.alive or row.left)], "is gone.", "are gone.")
+    alarm([row for row in rows if not (row.alive or row.left)], "is gone.", "are gone.")
     silent = [row for row in rows if row.alive and row.quiet]
     longest = max((row.age for row in silent), default=0.0)
     alarm(silent, f"has been silent for {longest:.0f} s.", f"have been silent for up to {longest:.0f} s.")

@@ -156,7 +156,8 @@ class ProcessRow:
         alive: whether it has a liveliness token.
         ledger: a worker's steps, over all its starts.
         trouble: whether it is gone, silent, far behind or slow; its own alarms do not count.
-        left: whether only the learner's ledger knows it: a worker that left before this view started.
+        left: whether it left as intended: the run is over, or it is a worker that left before this view started, which
+            only the learner's ledger knows.
         waits: a worker's share of the last seconds in which it waited for the learner, 0..1; None if unknown.
     """
 

@@ -3,7 +3,7 @@
     python -m research.benchmarks.gpu [--json] [--widths 64 128 256 512] [--workers 2 6 14] [--processor 1 6] [--seconds
                              15] [--write FOLDER]
 
-Updates are those of one iteration of the default preset, on the GPU and, with `learner.update_threads`, on the
+Updates are those of one iteration of the preset instant, on the GPU and, with `learner.update_threads`, on the
 processor. Whole runs are processes as `eia-sec train` starts them. A worker has fewer environments the more workers
 there are, so that their chunks together are at most what an iteration takes in, and policies mostly one version old.
 Runs with the learner on the processor are there to compare.
@@ -51,7 +51,7 @@ def updates(widths: list[int], repeats: int) -> list[Line]:
     for width in widths:
         line: Line = {"width": width}
         for device in ("cpu", "cuda"):
-            config = with_values(preset("default"), {"algorithm.hidden": width, "learner.device": device})
+            config = with_values(preset("instant"), {"algorithm.hidden": width, "learner.device": device})
             line[device] = round(measure_updates(config, repeats)["updates"], 2)
         sys.stderr.write(f"{json.dumps(line)}\n")
         lines.append(line)
@@ -59,8 +59,8 @@ def updates(widths: list[int], repeats: int) -> list[Line]:
 
 
 def run(device: str, workers: int, seconds: float) -> Line:
-    """Return the rates of a whole run of the default preset."""
-    config = preset("default")
+    """Return the rates of a whole run of the preset instant."""
+    config = preset("instant")
     each = environments(config, workers)
     config = with_values(config, {"learner.device": device, "rollout.environments": each})
     line = {"device": device, "environments": each, **learn(workers, seconds, config, SETTLE_SECONDS)}

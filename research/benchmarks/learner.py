@@ -8,7 +8,7 @@ other projects are in `research.benchmarks.peers`, and an algorithm whose update
 limit divides the multiplications and additions of the matrix products of an update by the speed of a large matrix
 product on as many threads, or on the same device, measured in the same run. A decision takes all UAVs of one time step
 from observations to actions, on one thread of the processor. Updates on policy are those of
-`research.benchmarks.on_policy`, of the default preset on one thread: microseconds for each environment step. Every time
+`research.benchmarks.on_policy`, of the preset instant on one thread: microseconds for each environment step. Every time
 is the least of many.
 
 `--growth` measures how an update grows with agents, width and batch, and writes growth.json, growth.md and growth.png;
@@ -319,15 +319,15 @@ def measure_updates(asked: argparse.Namespace) -> list[Line]:
 
 
 def learned_on_policy(repeats: int) -> dict[str, Any]:
-    """Return the microseconds of an iteration's updates for each environment step, at the default preset's sizes.
+    """Return the microseconds of an iteration's updates for each environment step, at the preset instant's sizes.
 
     To be called last: it sets torch's precision of float32 products for the process.
     """
-    config = preset("default")
+    config = preset("instant")
     found = on_policy.measure_updates(with_values(config, on_policy.ONE_CORE), repeats)
     sizes = {"algorithm": config.algorithm.name, "width": config.on_policy.hidden, "threads": torch.get_num_threads()}
     times = {"updates_us": round(found["updates"], 2), "limit_us": round(found["limit"], 2)}
-    return {"preset": "default", **sizes, **times, "gflops": round(found["gflops"], 1)}
+    return {"preset": "instant", **sizes, **times, "gflops": round(found["gflops"], 1)}
 
 
 def keep_growth(asked: argparse.Namespace) -> None:

@@ -1,6 +1,6 @@
 """What several learners make of an iteration's updates, beside one learner, in pairs.
 
-    python -m research.benchmarks.learners [--learners 2] [--preset default] [--repeats 5] [--json]
+    python -m research.benchmarks.learners [--learners 2] [--preset instant] [--repeats 5] [--json]
 
 Each repeat does an iteration with one learner, then one with the group; both have one thread a learner. The rows are
 the same, flown once by a fresh policy, and no worker runs meanwhile.
@@ -86,7 +86,7 @@ def main() -> None:
     """Measure, and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--learners", type=int, default=2)
-    parser.add_argument("--preset", default="default")
+    parser.add_argument("--preset", default="instant")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

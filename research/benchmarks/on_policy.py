@@ -1,6 +1,6 @@
 """Where the time of an environment step goes when learning on policy: microseconds of one core, and the updates' limit.
 
-    python -m research.benchmarks.on_policy [--json] [--preset default] [--repeats 5] [--write
+    python -m research.benchmarks.on_policy [--json] [--preset instant] [--repeats 5] [--write
     research/results/on_policy.json]
 
 flying      the simulator's step, observations included
@@ -166,7 +166,7 @@ def main() -> int:
         prog="python -m research.benchmarks.on_policy", description="Time of an environment step."
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--preset", default="default")
+    parser.add_argument("--preset", default="instant")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--write", type=Path, metavar="FILE", help="where the result and its origin go as JSON")
     asked = parser.parse_args()

@@ -8,7 +8,7 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import preset
 
 CONDITIONS: Final[dict[str, tuple[str, str]]] = {
-    "default": ("default", ""),
+    "instant": ("instant", ""),
     "links 150 m": ("connected", "[farm.relay]\nlink_range = 150.0"),
     "links 100 m": ("connected", ""),
     "links 70 m": ("connected", "[farm.relay]\nlink_range = 70.0"),
@@ -22,30 +22,30 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
         "[algorithm]\ndiscounts = {}\nentropy_scales = {communication = 1.0, collection = 0.1}",
     ),
     "team 2 + 2 + 2": (
-        "default",
+        "instant",
         "[farm.world]\ncommunication_uavs = 2\nmonitoring_uavs = 2\ncollection_uavs = 2",
     ),
     "team 8 + 8 + 8": (
-        "default",
+        "instant",
         "[farm.world]\ncommunication_uavs = 8\nmonitoring_uavs = 8\ncollection_uavs = 8",
     ),
     "280 m by 280 m": (
-        "default",
+        "instant",
         "[farm.world]\nfield_x = 280.0\nfield_y = 280.0\nplots_x = 14\nplots_y = 14\nsensors = 200",
     ),
     "560 m by 560 m": (
-        "default",
+        "instant",
         "[farm.world]\nfield_x = 560.0\nfield_y = 560.0\nplots_x = 28\nplots_y = 28\nsensors = 800",
     ),
     "patches of stress": ("uneven", ""),
     "batteries": ("battery", ""),
-    "wind 3 m/s": ("default", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),
-    "no-fly zones": ("default", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
+    "wind 3 m/s": ("instant", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),
+    "no-fly zones": ("instant", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
     "all of them": ("field", ""),
-    "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
+    "clustered sensors": ("instant", '[farm.world]\ndensity = "clustered"'),
 }
 """Each farm by its name: a preset, and what differs from it."""
-LONGER: Final = {"default": "long"}
+LONGER: Final = {"instant": "long"}
 """The preset of a condition's policy that learns longer, where it is not the condition's own."""
 _FRESH: Final = """
 [algorithm]

@@ -204,7 +204,7 @@ def page(data: dict[str, Any]) -> str:
     ratios = [word for policy in policies for word in (policy, "ratio")]
     head = ("farm", "best heuristic", "", "free", *ratios, "c, m, d: heuristic", "best policy", "commit")
     rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * (len(ratios) + 3) + "---|"]
-    plain = data["results"].get("default")
+    plain = data["results"].get("instant")
     for name, found in data["results"].items():
         bar, known = found["heuristics"][0], [found[policy] for policy in policies if policy in found]
         free = plain["heuristics"][0]["reward"][0] / bar["reward"][0] if plain and name in FREE else None

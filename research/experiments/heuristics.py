@@ -48,7 +48,7 @@ class Arguments:
 def contenders() -> list[str]:
     """Return every named policy, and one with the other relays."""
     others = list(RELAYS)[1:]
-    return [*HEURISTICS, "trained", *(f"lawnmower+{relays}" for relays in others)]
+    return [*HEURISTICS, "trained:instant", *(f"lawnmower+{relays}" for relays in others)]
 
 
 def interval(values: list[float]) -> list[float]:
@@ -89,7 +89,7 @@ def draw(data: dict[str, Any], path: Path) -> None:
     axes = figure.subplots()
     for row, result in enumerate(shown):
         mean, low, high = result["reward"]
-        colour = "tab:orange" if result["policy"] == "trained" else "tab:blue"
+        colour = "tab:orange" if result["policy"] == "trained:instant" else "tab:blue"
         axes.plot([low, high], [row, row], color=colour, linewidth=3, solid_capstyle="butt", alpha=0.5)
         axes.plot(mean, row, "o", color=colour, markersize=5)
         axes.annotate(f"{mean:.0f}", (high, row), xytext=(6, 0), textcoords="offset points", va="center", fontsize=9)
@@ -104,7 +104,7 @@ def draw(data: dict[str, Any], path: Path) -> None:
 def fly(arguments: Arguments) -> dict[str, Any]:
     """Return every policy's results."""
     made = provenance("research.experiments.heuristics")
-    farms, config, results = parse_farms(arguments.farms), PRESETS["default"].farm, _kept(arguments)
+    farms, config, results = parse_farms(arguments.farms), PRESETS["instant"].farm, _kept(arguments)
     for name in arguments.only or contenders():
         start = time.process_time()
         evaluation = evaluate(config, policy_of(name, config), farms, 1, name=name)

@@ -1,6 +1,6 @@
 """Fly every heuristic again on the farms of a kept run, and replace their lines in its evaluation.
 
-    python -m research.experiments.heuristics_again research/results/default
+    python -m research.experiments.heuristics_again research/results/instant
 
 The heuristics grow better with the code, and a kept run must not look better for it than it is.
 """

@@ -1,15 +1,17 @@
 """Teams that learned to fly with inertia, beside an untrained team and the heuristics.
 
-    python -m research.experiments.inertia [POLICY ...] [--seeds 0 1] [--farms 2000:2100] [--keep FOLDER]
-        [--write research/results/inertia]
+    python -m research.experiments.inertia [POLICY ...] [--seeds 0 1] [--algorithms eia-ppo ippo]
+        [--farms 2000:2100] [--keep FOLDER] [--ship] [--write research/results/inertia]
 
-Each seed trains the preset `inertial` in one process. The trained teams, and the policies that are named (`untrained`,
-heuristics, files), fly without noise on farms on which nothing was chosen. Results of others that are there stay.
+Each seed trains the preset `inertial` in one process, with each algorithm. These teams, and the policies that are named
+(`untrained`, heuristics, files), fly without noise on farms on which nothing was chosen. Results of others that are
+there stay.
 """
 
+import itertools
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +19,7 @@ import tyro
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
+from eia_sec.common.config.files import with_values
 from eia_sec.common.config.presets import preset
 from eia_sec.common.farm import farm_team
 from eia_sec.common.policy_file import save_policy
@@ -28,10 +31,11 @@ from eia_sec.learner.trainer import Trainer
 from eia_sec.learner.trainers import make_trainer
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
+from eia_sec.rollout.shipped_policies import TRAINED
 from research.experiments.heuristics import summarised
 from research.experiments.reporting import store_results
 from research.pages.blocks import read_json
-from research.pages.inertia_table import UNTRAINED, page
+from research.pages.inertia_table import ALGORITHM_LABELS, UNTRAINED, page
 
 EVERY: Final = 200
 """Episodes between two lines on a training."""
@@ -45,10 +49,14 @@ class Arguments:
     """Policies to fly: untrained, heuristics or files."""
     seeds: tuple[int, ...] = ()
     """Seeds to train."""
+    algorithms: tuple[str, ...] = ("eia-ppo",)
+    """Algorithms to train each seed with."""
     farms: str = "2000:2100"
     """Farm seeds A:B, from A to B - 1; one episode on each."""
     keep: Path | None = None
     """Folder for the policies of the seeds, or none."""
+    ship: bool = False
+    """Make the last policy the one that ships with the package, in 16-bit numbers."""
     write: Path = Path("research/results/inertia")
     """Where the results go."""
 
@@ -60,12 +68,16 @@ def main() -> None:
     for name in arguments.policies:
         policy = ActorPolicy(untrained(config)) if name == UNTRAINED else policy_of(name, config.farm)
         _store(arguments.write, made, flown(config, policy, Path(name).stem, arguments.farms))
-    for seed in arguments.seeds:
-        actors, costs = trained(replace(config, seed=seed))
+    for seed, algorithm in itertools.product(arguments.seeds, arguments.algorithms):
+        actors, costs = trained(with_values(config, {"seed": seed, "algorithm.name": algorithm}))
+        origin = {"command": f"{made['command']} --seeds {seed} --algorithms {algorithm}", "commit": made["commit"]}
         if arguments.keep:
             arguments.keep.mkdir(parents=True, exist_ok=True)
-            save_policy(arguments.keep / f"inertial-{seed}.safetensors", actors, {"seed": str(seed)})
-        _store(arguments.write, made, {**flown(config, ActorPolicy(actors), f"seed {seed}", arguments.farms), **costs})
+            save_policy(arguments.keep / f"{algorithm}-{seed}.safetensors", actors, origin)
+        if arguments.ship:
+            save_policy(TRAINED, actors, {**origin, "seed": str(seed)}, half=True)
+        label = f"{ALGORITHM_LABELS[algorithm]}, seed {seed}"
+        _store(arguments.write, made, {**flown(config, ActorPolicy(actors), label, arguments.farms), **costs})
 
 
 def untrained(config: RunConfig) -> TeamActors:
@@ -84,7 +96,12 @@ def trained(config: RunConfig) -> tuple[TeamActors, dict[str, Any]]:
             sys.stderr.write(f"seed {config.seed}: {trainer.episodes} episodes, {time.process_time() - began:.0f} s\n")
 
     trainer = train_in_process(config, watch)
-    cost = {"seed": config.seed, "episodes": trainer.episodes, "steps": trainer.environment_steps}
+    cost = {
+        "algorithm": config.algorithm.name,
+        "seed": config.seed,
+        "episodes": trainer.episodes,
+        "steps": trainer.environment_steps,
+    }
     return trainer.actors().noise_free(), {**cost, "training_cpu_seconds": round(time.process_time() - began, 1)}
 
 

@@ -48,7 +48,7 @@ class Arguments:
     commit: str
     """Commit that made the run."""
     output: Path | None = None
-    """Where its results go: research/results/default, or research/results/conditions with a condition."""
+    """Where its results go: research/results/instant, or research/results/conditions with a condition."""
     condition: str = ""
     """Name of the condition of which it becomes a policy."""
     add: bool = False
@@ -57,7 +57,7 @@ class Arguments:
     """Runs that the machine trained at the same time, which makes their times longer."""
     ship: bool = False
     """Make its policy one that ships with the package, in 16-bit numbers."""
-    policy: str = "trained"
+    policy: str = "trained:instant"
     """Name of the policy that it then is; trained:long for a run of the preset long. With a condition it is that of the
     preset of its longer policy."""
 
@@ -70,7 +70,7 @@ def main() -> int:
     if arguments.condition:
         keep_for_condition(arguments, arguments.output or Path("research/results/conditions"))
     else:
-        keep_page(arguments, arguments.output or Path("research/results/default"))
+        keep_page(arguments, arguments.output or Path("research/results/instant"))
     return 0
 
 
@@ -103,7 +103,7 @@ def keep_for_condition(arguments: Arguments, folder: Path) -> None:
         command = f"eia-sec train --preset {base} --seed {config.seed} --episodes {config.episodes}"
         origin = {"command": command, "commit": arguments.commit, "seed": config.seed, "episodes": last["episodes"]}
         metadata = {key: str(value) for key, value in origin.items()}
-        ship("trained" if base == "default" else f"trained:{base}", run, metadata)
+        ship("trained" if base == "inertial" else f"trained:{base}", run, metadata)
 
 
 def require_fitting(arguments: Arguments, config: RunConfig, results: dict[str, Scores]) -> None:

@@ -1,7 +1,7 @@
 r"""Evaluate the policies of several finished runs of one preset, which differ in their seeds.
 
     python -m research.experiments.seeds RUN_DIR ... --commit abc1234 [--add] \
-        --write research/results/default/seeds.json
+        --write research/results/instant/seeds.json
     python -m research.experiments.seeds RUN_DIR ... --commit abc1234 --preset long \
         --write research/results/long/seeds.json
 
@@ -56,13 +56,13 @@ class Arguments:
     """Their run directories."""
     commit: str
     """Commit that made them."""
-    preset: str = "default"
+    preset: str = "instant"
     """Preset of the runs."""
     at_once: int = 1
     """Runs that the machine trained at the same time, which makes their times longer."""
     add: bool = False
     """Keep what the file has of other seeds."""
-    write: Path = Path("research/results/default/seeds.json")
+    write: Path = Path("research/results/instant/seeds.json")
     """Where the results go."""
 
 

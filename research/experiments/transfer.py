@@ -26,7 +26,7 @@ from research.studies.analysis.verdicts import shown
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
 ANY_TEAM: Final = '[farm.world]\ndensity = "mixed"\n[farm.observation]\nidentity = false'
-"""What the policy trains on, over the default preset."""
+"""What the policy trains on, over the preset instant."""
 RANDOM_TEAMS: Final = """
 [farm.world]
 communication_uavs = 8
@@ -45,13 +45,13 @@ TEAMS: Final = ((4, 4, 4), (2, 2, 2), (3, 4, 6), (8, 8, 8))
 
 def configuration(episodes: int, seed: int, random_teams: bool = False) -> RunConfig:
     """Return the run of the policy."""
-    run = from_toml(ANY_TEAM, preset("default"))
+    run = from_toml(ANY_TEAM, preset("instant"))
     return replace(from_toml(RANDOM_TEAMS, run) if random_teams else run, episodes=episodes, seed=seed)
 
 
 def places(farm: FarmConfig) -> dict[str, FarmConfig]:
     """Return the farms to fly on by their names; nobody is missing there, and fields from files have the usual team."""
-    usual = preset("default").farm.world.counts
+    usual = preset("instant").farm.world.counts
     farm, found = replace(farm, failures=FailureConfig(), world=with_team(farm.world, usual)), {}
     for name in FIELDS:
         given = read_farm(EXAMPLES / f"{name}.geojson").on(farm)

@@ -2,7 +2,7 @@
 
     python -m research.pages.capacity [--workers 50] [--step-ms 20] [--update-us 60] [--link-gbit 10] ...
 
-prints the table for a plan; `python -m research.pages.pages` writes the one for the default preset into
+prints the table for a plan; `python -m research.pages.pages` writes the one for the preset instant into
 docs/explanation/capacity.md. The model has no queues and no contention: each part has a rate at which it is busy all
 the time, and the run goes at the lowest.
 """
@@ -26,7 +26,7 @@ from eia_sec.deploy.exit_codes import DONE, run_command
 from eia_sec.deploy.options import parse
 from research.pages.blocks import wrapped
 
-PRESET: Final = "default"
+PRESET: Final = "instant"
 """The preset whose run the model describes."""
 SOURCES: Final = (
     "research/results/on_policy.json",
@@ -214,7 +214,7 @@ def block(on_policy: dict[str, Any], intake: dict[str, Any], distribution: dict[
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            "The default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps a",
+            "The preset instant with one worker on a core of its own and a link of 1 Gbit/s, in environment steps a",
             "second and as a number of workers:",
             "",
             *table(plan, measured),

@@ -7,15 +7,15 @@ from typing import Any, Final
 from research.benchmarks.distribution.summary import summary
 from research.pages import capacity
 from research.pages.blocks import read_json
-from research.pages.inertia_table import inertia_block
+from research.pages.inertia_table import inertia_block, readme_block
 from research.pages.interval_tables import interval_table
 from research.pages.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "research/results/reproduce/training/results.json"
 PRESET: Final = "research/results/reproduce/default/results.json"
 HEURISTICS: Final = "research/results/heuristics/results.json"
-SEEDS: Final = "research/results/default/seeds.json"
-UNTRAINED: Final = "research/results/default/untrained.json"
+SEEDS: Final = "research/results/instant/seeds.json"
+UNTRAINED: Final = "research/results/instant/untrained.json"
 LONG: Final = "research/results/long/seeds.json"
 DISTRIBUTION: Final = "research/results/distribution/results.json"
 NOT_MEASURED: Final = "Not measured yet.\n"
@@ -286,13 +286,14 @@ def served_block(data: dict[str, Any]) -> str:
 MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "capacity": (capacity.SOURCES, capacity.block),
     "checkpoint": (("research/results/checkpoint.json",), checkpoint_block),
-    "default-run": (("research/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET, SEEDS), default_block),
+    "default-run": (("research/results/instant/evaluation.json", TRAINING, HEURISTICS, PRESET, SEEDS), default_block),
     "distribution": ((DISTRIBUTION,), distribution_block),
     "fly": (("research/results/fly.json",), fly_block),
     "forms": (("research/results/critic_forms/forms.json",), forms_block),
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("research/results/hosts/results.json",), hosts_block),
     "inertia": (("research/results/inertia/results.json",), inertia_block),
+    "inertia-results": (("research/results/inertia/results.json",), readme_block),
     "paper-preset": (("research/results/paper/evaluation.json",), paper_block),
     "results": ((TRAINING, PRESET, SEEDS, LONG, UNTRAINED), results_block),
     "tasks": (

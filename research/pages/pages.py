@@ -45,8 +45,8 @@ def _on_home_page(block: Block) -> Block:
 
 
 PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
-    "README.md": _measured("results", "distribution"),
-    "docs/index.md": {"results": _on_home_page(partial(measured, "results"))},
+    "README.md": _measured("inertia-results", "results", "distribution"),
+    "docs/index.md": {name: _on_home_page(partial(measured, name)) for name in ("inertia-results", "results")},
     "docs/explanation/capacity.md": _measured("capacity"),
     "docs/explanation/method.md": _measured("forms"),
     "docs/explanation/reliability.md": {

@@ -8,9 +8,9 @@ from research.studies.methods import EIA_SEC, TUNED_PRESET
 from research.studies.scales import FIRST_FARM, FIRST_REPORTED
 
 RUN: Final = "this run"
-DEFAULT: Final = "IPPO, default preset"
+DEFAULT: Final = "IPPO, preset `instant`"
 LONG: Final = "IPPO, preset `long`"
-OURS: Final = ("`long`", "the default preset")
+OURS: Final = ("`long`", "the preset instant")
 """What the README calls the two."""
 
 
@@ -42,9 +42,9 @@ def results_block(
     Args:
         study: the results of the study `training`.
         seeds: the results of the study `default`.
-        default: several seeds of the default preset, see `research.experiments.seeds`.
+        default: several seeds of the preset instant, see `research.experiments.seeds`.
         long: the same of the preset `long`.
-        untrained: what a team of the default preset earns before it learns, see `research.experiments.untrained`.
+        untrained: what a team of the preset instant earns before it learns, see `research.experiments.untrained`.
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
     ours = {f"**{LONG}**": _several(long), f"**{DEFAULT}**": _several(default)}
@@ -67,14 +67,14 @@ def results_block(
     counts = " or ".join(str(count) for count in sorted({len(own["runs"]), len(default["runs"])}))
     conditions = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
         methods over {counts} seeds (`long`: {len(long["runs"])}), with a 95 % interval. All methods had the same tuning
-        budget; our presets were tuned [beyond it](docs/explanation/method.md#the-default-preset). AoI is the mean age
+        budget; our presets were tuned [beyond it](docs/explanation/method.md#the-preset-instant). AoI is the mean age
         of sensor data, VDF that of plot images; lower is better."""
     tied = "".join(f"Level with {what}: {names}. " for what, names in zip(OURS, level, strict=True) if names)
     beaten = "; ".join(f"{_beats(names)} {what}" for what, names in zip(OURS, ahead, strict=True))
     reading = f"""**{beaten[0].upper()}{beaten[1:]}.** {tied}Heuristics see the whole farm and plan with its dynamics; a
         trained UAV acts on what it observes. That includes sweep routes and, with `long`,
         [plans](docs/reference/environment.md#added-observations), which its collectors favour from the start. So an
-        untrained team of the default preset earns {untrained["reward"]:.0f} already; learning adds the rest."""
+        untrained team of the preset instant earns {untrained["reward"]:.0f} already; learning adds the rest."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
 
 
@@ -95,7 +95,7 @@ def _beats(names: str) -> str:
 
 
 def _several(default: dict[str, Any]) -> dict[str, Any]:
-    """Return the seeds of the default preset as the studies' methods are given."""
+    """Return the seeds of the preset instant as the studies' methods are given."""
     return {"mean_reward": default["reward"], "metrics": {name: default[name] for name in ("aoi", "vdf")}}
 
 
@@ -149,7 +149,7 @@ def _farms(size: dict[str, Any]) -> str:
 def _rank(flown: dict[str, Any]) -> str:
     """Return where the policy that ships stands among the heuristics; two with overlapping intervals are level."""
     rewards = {result["policy"]: result["reward"] for result in flown["results"]}
-    mean, low, high = rewards.pop("trained")
+    mean, low, high = rewards.pop("trained:instant")
     named = sorted(rewards.items(), key=lambda item: -item[1][0])
     above = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] > high)
     level = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] <= high and reward[2] >= low)
@@ -169,7 +169,7 @@ def _relays(runs: list[dict[str, Any]]) -> str:
 
 
 def _seeds_line(default: dict[str, Any]) -> str:
-    """Return what several seeds of the default preset come to, and how soon."""
+    """Return what several seeds of the preset instant come to, and how soon."""
     runs, first = default["runs"], default["first_farm"]
     aoi, vdf = (shown(default[name], 3) for name in ("aoi", "vdf"))
     each = ", ".join(f"{run['reward']['mean']:.0f}" for run in runs)
@@ -196,7 +196,7 @@ def default_block(
         study: the results of the study `training`.
         flown: every policy that has a name, on all farms that are reported on.
         seeds: the results of the study `default`.
-        default: several seeds of the default preset, see `research.experiments.seeds`.
+        default: several seeds of the preset instant, see `research.experiments.seeds`.
     """
     farms, own = run["evaluations"][0]["farms"], seeds["methods"][TUNED_PRESET]
     beside = f", {run['at_once']} such runs at a time," if run.get("at_once", 1) > 1 else ""
@@ -205,11 +205,11 @@ def default_block(
     first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
         uses 0..19){chosen}; one seed:"""
     origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what
-        `make train` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,} environment
-        steps and {run["updates"]:,} updates of all
+        `make train ARGS="--preset instant"` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,}
+        environment steps and {run["updates"]:,} updates of all
         twelve agents in {run["seconds"] / 60:.0f} minutes on two shared cores{beside} without an
-        accelerator. The paper reports 895 for EIA-SEC, on its own farm. [Curves](default/curves.png),
-        [paths](default/trajectories.png)."""
+        accelerator. The paper reports 895 for EIA-SEC, on its own farm. [Curves](instant/curves.png),
+        [paths](instant/trajectories.png)."""
     several = f"""{len(own["runs"])} seeds of the preset `eia-sec` score {shown(own["mean_reward"])} on farms
         {_farms(seeds["sizes"])} (mean, with a 95 % interval over the seeds), AoI {aoi}, VDF {vdf}
         ([study](reproduce/default/README.md))."""

@@ -53,7 +53,7 @@ _PLAIN_PPO: Final[Mapping[str, Value]] = {
     "rollout.chunk_steps": 500,
     "rollout.spool_chunks": 2,
 }
-"""PPO as published, without what the default preset adds, and with as many updates as the budget allows for."""
+"""PPO as published, without what the preset instant adds, and with as many updates as the budget allows for."""
 ON_POLICY_PEERS: Final = (
     Method("MAPPO", {"algorithm.name": "mappo", **_PLAIN_PPO}, late=True),
     Method("IPPO", {"algorithm.name": "ippo", **_PLAIN_PPO}, late=True),

@@ -85,7 +85,7 @@ class Scale:
         return replace(config, episodes=min(config.episodes, self.episodes))
 
     def quick(self) -> RunConfig:
-        """Return the configuration from which the studies on policy begin: the default preset's, in a short run."""
+        """Return the configuration from which the studies on policy begin: the preset instant's, in a short run."""
         return self._settled(PRESETS["quick"], self.on_policy)
 
     def _settled(self, config: RunConfig, settings: str) -> RunConfig:

@@ -3,7 +3,7 @@
     python -m research.studies.unseen RUN_DIR ... [--farms 2000:2100] [--write research/results/unseen]
 
 The settings of the presets `default` and `long` were chosen by rewards on farms 1000..1099, on which results are
-reported. Here the two policies that ship, the runs (seeds of the default preset) and the two best heuristics fly other
+reported. Here the two policies that ship, the runs (seeds of the preset instant) and the two best heuristics fly other
 farms.
 """
 
@@ -26,7 +26,7 @@ from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import policy_of
 from research.studies.analysis.statistics import interval, mean
 
-FLOWN: Final = {"trained:long": "long", "horizon": "default", "trained": "default", "lawnmower": "default"}
+FLOWN: Final = {"trained:long": "long", "horizon": "instant", "trained:instant": "instant", "lawnmower": "instant"}
 """Policies and heuristics, and the preset on whose farm each flies; only what UAVs observe differs."""
 COLUMNS: Final = {"reward": 0, "aoi": 3, "vdf": 3}
 """Fields of a score, and their decimals."""
@@ -37,7 +37,7 @@ class Arguments:
     """Fly policies, heuristics and finished runs over farms on which nothing was chosen."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run directories of the default preset, of different seeds."""
+    """Run directories of the preset instant, of different seeds."""
     farms: str = "2000:2100"
     """Farm seeds A:B, from A to B - 1; one episode on each."""
     write: Path | None = None
@@ -96,7 +96,7 @@ def main() -> None:
     if arguments.runs:
         held = [(path, RunDirectory(path).configuration()) for path in arguments.runs]
         flown = [scores(f"seed {config.seed}", str(path / POLICY), config.farm, farms) for path, config in held]
-        results.append(row(f"default preset, {len(flown)} seeds", flown, over_seeds=True))
+        results.append(row(f"preset `instant`, {len(flown)} seeds", flown, over_seeds=True))
     data |= {"first_farm": farms.start, "last_farm": farms.stop - 1, "results": results}
     text = page(data)
     sys.stdout.write(text)

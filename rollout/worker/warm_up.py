@@ -13,7 +13,7 @@ from eia_sec.rollout.worker.collector import Collector
 
 def warm_up() -> None:
     """Fly one step of one farm with fresh actors."""
-    config = preset("default")
+    config = preset("inertial")
     config = replace(config, rollout=replace(config.rollout, environments=1, chunk_steps=1, threads=1))
     with closing(Collector(config, "warm-up", 0)) as collector:
         actors = TeamActors.initial(collector.team, config.algorithm.hidden, 0, shared=True)

@@ -235,9 +235,9 @@ def test_the_last_of_several_values_counts(tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text("episodes = 77\n")
     (tmp_path / "two.toml").write_text("seed = 5\n")
     files = [f"--config={tmp_path / name}.toml" for name in ("one", "two")]
-    found = base_configuration(["--preset", "quick", *files, "--preset", "default"])
-    assert (found.episodes, found.seed) == (PRESETS["default"].episodes, 5)
-    assert base_configuration([*files, "--config", "None"]) == PRESETS["default"]
+    found = base_configuration(["--preset", "quick", *files, "--preset", "instant"])
+    assert (found.episodes, found.seed) == (PRESETS["instant"].episodes, 5)
+    assert base_configuration([*files, "--config", "None"]) == PRESETS["inertial"]
 
 
 def test_a_mistake_in_a_file_names_the_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -298,6 +298,6 @@ def test_environments_but_the_farm_have_a_preset_of_their_own(tmp_path: Path) ->
         assert (found.steps, found.rollout) == (generic.steps, generic.rollout)
     quick = base_configuration(["--env", "toy_env:Relay", "--preset", "quick"])
     assert (quick.episodes, quick.rollout) == (PRESETS["quick"].episodes, PRESETS["quick"].rollout)
-    assert base_configuration(["--env", "farm"]) == base_configuration([]) == PRESETS["default"]
+    assert base_configuration(["--env", "farm"]) == base_configuration([]) == PRESETS["inertial"]
     given = base_configuration(["--env", "toy_env:Relay", "--episodes", "30"])
     assert (given.episodes, given.steps) == (30, 0)

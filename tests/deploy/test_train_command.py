@@ -18,7 +18,7 @@ from eia_sec.deploy.commands.training.train import TrainArguments, command_line,
 
 @pytest.mark.parametrize(
     ("name", "cores", "workers"),
-    [("default", 2, 1), ("long", 2, 2), ("long", 1, 1), ("long", 64, 2), ("connected", 2, 1), ("uneven", 2, 2)],
+    [("instant", 2, 1), ("long", 2, 2), ("long", 1, 1), ("long", 64, 2), ("connected", 2, 1), ("uneven", 2, 2)],
 )
 def test_a_slow_simulator_has_two_workers_where_there_are_cores(monkeypatch, name, cores, workers):
     """Two where UAVs see plans and there are two cores or more, else one."""
@@ -89,7 +89,7 @@ def test_commands_that_are_shown_name_plugins():
 def test_a_run_that_cannot_make_one_update_says_so(name, episodes, said):
     """Before it starts: episodes together have fewer steps than the first update needs."""
     environment = EnvironmentSpec(TeamSpec((GroupSpec("scout", 2, 4, 2),)), (1, 100))
-    base = preset("eia-sec" if name == "eia-sec" else "default")
+    base = preset("eia-sec" if name == "eia-sec" else "instant")
     options = {"algorithm.iteration_steps": 400, "algorithm.minibatch_steps": 100}
     values = options if name == "ippo" else {"replay.warmup_steps": 399, "algorithm.batch": 32}
     config = with_values(base, {"episodes": episodes, **values})

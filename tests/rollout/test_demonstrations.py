@@ -60,9 +60,9 @@ def test_pictures_are_recorded_as_bytes(tmp_path):
 
 def test_the_farm_is_not_recorded():
     """Its heuristics choose velocities, and actors do not."""
-    assert any(group.adapters for group in farm_team(preset("default").farm).groups)
+    assert any(group.adapters for group in farm_team(preset("instant").farm).groups)
     with pytest.raises(ConfigError, match="policies cannot be recorded on the farm"):
-        recorded(preset("default"), RandomPolicy(), 1, "random")
+        recorded(preset("instant"), RandomPolicy(), 1, "random")
 
 
 @pytest.mark.parametrize(
@@ -106,4 +106,4 @@ def test_a_heuristic_is_named_by_its_place():
     with pytest.raises(PluginError, match="has no method reset; policies have reset and act"):
         run_policy("collections:Counter", COVER)
     with pytest.raises(PolicyError, match="there is no policy 'trained:nothing'"):
-        run_policy("trained:nothing", preset("default"))
+        run_policy("trained:nothing", preset("instant"))

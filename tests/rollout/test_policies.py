@@ -83,9 +83,9 @@ def test_a_policy_file_is_a_policy(tmp_path):
 
 def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
     """The name `trained` loads the shipped file, and says so when there is none or when the team differs."""
-    file = tmp_path / "default.safetensors"
-    monkeypatch.setitem(shipped_policies.SHIPPED, "trained", ("default", file))
-    with pytest.raises(PolicyError, match="no trained policy of the preset default is part of this installation"):
+    file = tmp_path / "mine.safetensors"
+    monkeypatch.setitem(shipped_policies.SHIPPED, "trained", ("inertial", file))
+    with pytest.raises(PolicyError, match="no trained policy of the preset inertial is part of this installation"):
         policy_of("trained", SMALL)
     save_policy(file, TeamActors.initial(farm_team(SMALL), 16, 3), {})
     assert isinstance(policy_of("trained", SMALL), ActorPolicy)
@@ -111,10 +111,10 @@ def test_the_policy_of_eia_sec_ships_too():
     with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained:eia-sec", FarmConfig())
     assert [shipped_policies.preset_of(name) for name in ("trained", "trained:eia-sec", "greedy", None)] == [
-        "default",
+        "inertial",
         "eia-sec",
-        "default",
-        "default",
+        "inertial",
+        "inertial",
     ]
 
 
@@ -190,7 +190,7 @@ def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
 @pytest.mark.parametrize("counts", [(1, 2, 3), (5, 6, 8)])
 def test_shared_actors_fly_teams_of_other_sizes(counts):
     """Without ranks, one actor for all UAVs of a type flies any number of them; separate actors do not."""
-    farm = preset("default").farm
+    farm = preset("instant").farm
     uavs = dict(zip(("communication_uavs", "monitoring_uavs", "collection_uavs"), counts, strict=True))
     farm = replace(farm, observation=replace(farm.observation, identity=False))
     other = replace(farm, world=replace(farm.world, **uavs))

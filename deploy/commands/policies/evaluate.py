@@ -33,7 +33,8 @@ from eia_sec.rollout.shipped_policies import is_file, preset_of
 POLICY_HELP: Final = (
     f"{', '.join(POLICIES)}, a plug-in's heuristic, module:name of one, or a policy file; with --run-dir, instead of "
     f"the run's policy. TASK+RELAYS, a task being {', '.join(TASKS)} and relays {', '.join(RELAYS)}, names the relays "
-    "too (docs/reference/heuristics.md). A policy of a preset flies that preset's farm, trained that of default."
+    "too (docs/reference/heuristics.md). A policy of a preset flies that preset's farm, trained and heuristics that of "
+    "inertial."
 )
 MAX_FARMS: Final = 100_000
 DIGITS: Final = 19
@@ -64,7 +65,7 @@ class EvaluateArguments:
     json: bool = False
     """Print JSON instead of a table."""
     config: Path | None = None
-    """TOML file whose values override those of the run or the default preset."""
+    """TOML file whose values override those of the run or the preset inertial."""
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensor positions; the seeds then determine starts, packets and phases."""
     set: tuple[str, ...] = ()

@@ -31,7 +31,7 @@ class Source:
     density: Density | None = None
     """Distribution of the sensors. Default: the configuration's."""
     config: Path | None = None
-    """TOML file whose values override the default preset's, for example a run's config.toml."""
+    """TOML file whose values override the preset inertial's, for example a run's config.toml."""
     set: tuple[str, ...] = ()
     """Single values that override everything else, for example farm.world.sensors=100."""
 
@@ -96,7 +96,7 @@ def command(arguments: Sequence[str]) -> int:
 def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
     """Return the farm that the options choose; raise UsageError for a density that would have no effect."""
     within(0, 2**63 - 1, farm=source.farm)
-    config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
+    config = PRESETS["inertial"] if source.config is None else from_toml(source.config, PRESETS["inertial"])
     if farm_file is not None:
         config = with_farm_file(config, farm_file)
     config = with_settings(config, source.set)

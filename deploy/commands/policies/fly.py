@@ -182,7 +182,7 @@ def origin_of(text: str | None) -> TangentPlane | None:
     return TangentPlane(longitude, latitude)
 
 
-def farm_of(run_dir: Path | None, config: Path | None, preset: str = "default") -> FarmConfig:
+def farm_of(run_dir: Path | None, config: Path | None, preset: str = "inertial") -> FarmConfig:
     """Return the farm of a run directory or a preset, with a file's values over it.
 
     Raises:

@@ -40,7 +40,7 @@ class ReplayArguments:
     """Policy name or file, as in eia-sec evaluate; replaces the run's policy."""
     against: str = "lawnmower"
     """The other policy: any name of eia-sec evaluate, or a policy file. Both fly one farm, so a policy must match its
-    observations: "trained" fits the default preset."""
+    observations: "trained" fits the preset inertial."""
     farm: int = 1000
     """Farm seed; training uses 0 to 19, evaluation 1000 and above."""
     episode: int = 0
@@ -54,7 +54,7 @@ class ReplayArguments:
     out: Path | None = None
     """Output folder. Default: replay/ in the run directory or the current directory."""
     config: Path | None = None
-    """TOML file whose values override those of the run or the default preset."""
+    """TOML file whose values override those of the run or the preset inertial."""
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensor positions."""
     set: tuple[str, ...] = ()

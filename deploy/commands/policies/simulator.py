@@ -33,7 +33,7 @@ class SimulatorArguments:
     run_dir: Path | None = None
     """Run directory whose farm to use."""
     config: Path | None = None
-    """TOML file with the farm. Default: that of the default preset."""
+    """TOML file with the farm. Default: that of the preset inertial."""
     farm: int = 1000
     """Seed of the farm."""
     episode: int = 0

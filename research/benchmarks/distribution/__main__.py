@@ -7,7 +7,7 @@ Each run is processes as users start them: a router, so many workers with one en
 learner last. One environment in real time takes about 2 % of a core, so the workers of one machine with few cores stand
 for as many vehicles. All processes compute on one thread, and every run ends by itself: at the reward, or at --limit.
 
-The farm is the default preset with 1, 2 and 4 workers, for --farm-seconds each (0 leaves it out). With --write, results
+The farm is the preset instant with 1, 2 and 4 workers, for --farm-seconds each (0 leaves it out). With --write, results
 are written after each run, and a later call adds to them what is missing.
 """
 

@@ -1,4 +1,4 @@
-"""The default preset on this machine's cores: environment steps that the learner learns from, by number of workers."""
+"""The preset instant on this machine's cores: environment steps that the learner learns from, by number of workers."""
 
 import os
 import tempfile
@@ -28,7 +28,7 @@ def learn(
     Args:
         workers: number of workers.
         seconds: measuring time.
-        config: the run; the default preset.
+        config: the run; the preset instant.
         settle: seconds for which it trains before it is measured.
 
     Raises:

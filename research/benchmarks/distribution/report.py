@@ -52,7 +52,7 @@ def where(lines: list[Line]) -> list[str]:
 
 
 def farm(lines: list[Line]) -> list[str]:
-    """Return the table of the default preset on the same cores."""
+    """Return the table of the preset instant on the same cores."""
     shares = ["learner updates", "an update, ms", "workers wait", "steps discarded as stale"]
     head = ["workers", "env steps/s", *shares, "load"]
     rows = [

@@ -50,7 +50,7 @@ train_farms = 1000
 [learner]
 checkpoint_seconds = 3600.0
 """
-"""The run, over the default preset. A worker holds one environment, as the process of a vehicle does."""
+"""The run, over the preset instant. A worker holds one environment, as the process of a vehicle does."""
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.policies import Policy
 
 Point = dict[str, float]
-FARM: Final = preset("default").farm
+FARM: Final = preset("instant").farm
 LOOK_SHARE: Final = 0.1
 """Least time between two looks, as a share of the time since the command."""
 
 
 class FarmOfChoices(FarmParallelEnv):
-    """The PettingZoo farm of the default preset, with the discrete actions of our actors, and smaller rewards.
+    """The PettingZoo farm of the preset instant, with the discrete actions of our actors, and smaller rewards.
 
     Infos are empty, because TorchRL's wrapper takes none that hold a dictionary.
 

@@ -2,7 +2,7 @@
 
     python -m research.benchmarks.peers.reach [--write research/results/reach] [--seeds 3] [--json]
 
-Ours is `eia-sec train` as a user starts it: the default preset, with learner, coordinator and worker as processes of
+Ours is `eia-sec train` as a user starts it: the preset instant, with learner, coordinator and worker as processes of
 their own. The peers train on the same farm as a PettingZoo environment, with the same observations and discrete moves,
 widths, rate, discount, clip range and reward scale; a type's agents share their networks. Because their environments
 are slower, they get shorter iterations, smaller minibatches and more passes over them (PEER_SETTINGS), and they may use
@@ -47,7 +47,7 @@ from research.benchmarks.peers.report import table
 from research.benchmarks.peers.venvs import interpreter, provide
 
 BAR: Final = "lawnmower"
-PRESET: Final = "default"
+PRESET: Final = "instant"
 FARMS: Final = tuple(range(1000, 1020))
 """Farms that no training sees."""
 OURS: Final = "EIA-SEC"
@@ -65,7 +65,7 @@ PEERS: Final = (
     ),
 )
 PEER_SETTINGS: Final = {"environments": 8, "iteration": 4000, "epochs": 10, "minibatch": 500}
-"""What peers have instead of the default preset's environments, iteration, epochs and minibatches."""
+"""What peers have instead of the preset instant's environments, iteration, epochs and minibatches."""
 LOOK_SECONDS: Final = 0.5
 """Least time between two looks at ours; looking costs it nothing."""
 LOOK_SHARE: Final = 0.03
@@ -235,7 +235,7 @@ def page(data: Line) -> str:
     made = (
         f"`{data['command']}`, commit {data['commit']}: seconds from the command until a policy, flown without\n"
         f"noise on farms {FARMS[0]}..{FARMS[-1]}, earns a part of the {BAR}'s {data['bar']:.0f} per agent.\n"
-        f"{data['cores']} cores. Ours is `eia-sec train`, the default preset; the peers train on the same farm as a\n"
+        f"{data['cores']} cores. Ours is `eia-sec train`, the preset instant; the peers train on the same farm as a\n"
         "PettingZoo environment, with the same observations, discrete moves, widths, rate, discount and clip range;\n"
         f"their iterations are shorter ({PEER_SETTINGS['iteration']:,} steps, {PEER_SETTINGS['epochs']} epochs), "
         f"because their environments are slower.\n{fresh_actors(data)}\n"

@@ -163,7 +163,7 @@ def heuristics(data: Results | None, flown: Results | None) -> list[Row]:
         best = policy.get("mean_reward", policy["reward"])  # results without the one have the mean in the other
     elif flown is not None:
         results = {result["policy"]: result["reward"] for result in flown["results"]}
-        learnt = results.pop("trained")
+        learnt = results.pop("trained:instant")
         name = max(results, key=lambda policy: results[policy][0])
         best, what = results[name][0], f"the policy that ships {shown(learnt)}"
     else:

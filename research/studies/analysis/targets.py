@@ -61,7 +61,7 @@ def _rewards(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     notes: dict[str, str] = {}
     if flown is not None:
         rewards = {result["policy"]: result for result in flown["results"]}
-        own = rewards.pop("trained")
+        own = rewards.pop("trained:instant")
         best = max(rewards, key=lambda name: rewards[name]["reward"][0])
         found[SHIPPED] = (best, rewards[best]["reward"][0], own["reward"])
         notes[SHIPPED] = f"; {_late(own):.0f} on {FIRST_REPORTED}..{flown['last_farm']}"
@@ -98,7 +98,7 @@ def _counters(flown: Results | None, seeds: Results | None) -> list[list[str]]:
             rows.append([target, SHIPPED, "", "", ABSENT])
         else:
             others = {result["policy"]: result[figure] for result in flown["results"]}
-            rows.append([target, SHIPPED, *_below(others.pop("trained"), others)])
+            rows.append([target, SHIPPED, *_below(others.pop("trained:instant"), others)])
         if seeds is None:
             rows.append([target, SEEDS, "", "", ABSENT])
         else:

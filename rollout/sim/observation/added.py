@@ -90,6 +90,8 @@ def _put_others(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, first: 
             v.velocity,
             v.go_x,
             v.go_y,
+            v.path_x,
+            v.path_y,
             u,
             found,
             v.near,

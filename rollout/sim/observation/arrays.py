@@ -60,8 +60,8 @@ class ViewScratch(NamedTuple):
     near_square: Annotated[Array, "64", "squares of their distances, m^2"]
     risk: Annotated[
         Array,
-        "2 16",
-        "metres of risk of each move, for a peer that does anything and for one that flies on",
+        "3 16",
+        "metres of risk of each move, for a peer that does anything and for one that flies on, and the last distance",
     ]
     place_x: Annotated[Array, "places", "x of the places of a plan, m"]
     place_y: Annotated[Array, "places", "the same along y, m"]
@@ -83,8 +83,8 @@ class ViewScratch(NamedTuple):
 def make_view_scratch(config: FarmConfig) -> ViewScratch:
     """Allocate the working memory of the added observations."""
     world, two = config.world, config.observation.units > 1
-    ahead = config.dynamics.inertial * HOLD * (1 + two)
-    places = _filled(9 * ahead if ahead else 9 + TWO_MOVES * two)
+    ahead = config.dynamics.inertial * 2 * HOLD
+    places = _filled(9 * HOLD * (1 + two) if ahead else 9 + TWO_MOVES * two)
     plots, cells = _field(world, world.plots_x, world.plots_y), _field(world, *cell_counts(world))
     return make_record(ViewScratch, {"n": world.uavs, "places": places, "ahead": ahead}, plots=plots, cells=cells)
 

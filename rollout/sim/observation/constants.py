@@ -83,7 +83,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
-    hold = float(HOLD if config.dynamics.inertial else 1)
+    hold, ahead = (float(HOLD), 2.0 * HOLD) if config.dynamics.inertial else (1.0, 1.0)
     sure, most = image_bounds(config)
     boxes, plots, starts = flat_routes(config)
     return ViewConstants(
@@ -101,7 +101,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants) -> ViewConstants:
         step_y=step_y,
         per_hold=1.0 / hold,
         per_step=1.0 / (hold * math.hypot(step_x, step_y)),
-        danger_square=(1.000001 * (world.safety_distance + 2.0 * hold * math.hypot(step_x, step_y))) ** 2,
+        danger_square=(1.000001 * (world.safety_distance + 2.0 * ahead * math.hypot(step_x, step_y))) ** 2,
         first=TWO_MOVES if seen.units > 1 and not config.dynamics.inertial else 0,
         image_sure=sure,
         image_limit=most,

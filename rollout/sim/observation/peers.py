@@ -2,6 +2,7 @@
 
 import math
 
+from eia_sec.common.farm_observation import MOST_RISK
 from eia_sec.rollout.sim.core.compile import allocation_free
 from eia_sec.rollout.sim.core.constants import FleetConstants
 from eia_sec.rollout.sim.core.records import Array, Float32, Indices
@@ -82,6 +83,31 @@ def _add_risk(
 
 
 @allocation_free
+def _add_way(
+    fleet: FleetConstants,
+    apart: float,
+    path_x: Array,
+    path_y: Array,
+    x: float,
+    y: float,
+    way_x: float,
+    way_y: float,
+    risk: Array,
+) -> None:
+    """Add the metres of risk of nine moves that are held, beside a peer that flies on, at the end of each step (W8)."""
+    before = risk[2]
+    before[:] = apart
+    for step in range(len(path_x)):
+        x, y = min(fleet.width, max(0.0, x + way_x)), min(fleet.depth, max(0.0, y + way_y))
+        for move in range(9):
+            dx, dy = path_x[step, move // 3] - x, path_y[step, move % 3] - y
+            then = math.sqrt(dx * dx + dy * dy)
+            if then < fleet.safety:
+                risk[1, move] += max(0.0, before[move] - then)
+            before[move] = then
+
+
+@allocation_free
 def put_risk(
     fleet: FleetConstants,
     per_hold: float,
@@ -93,6 +119,8 @@ def put_risk(
     velocity: Array,
     go_x: Array,
     go_y: Array,
+    path_x: Array,
+    path_y: Array,
     u: int,
     found: int,
     near: Indices,
@@ -104,8 +132,10 @@ def put_risk(
     """Write the risk of each move over d_safety, added up over the two nearest peers; return where it ends.
 
     The first nine numbers are the mean over the peer's nine moves, the other nine are for a peer that keeps its last
-    velocity. Two peers count, because another one may be the nearest after the step.
+    velocity; with inertia these are added up step by step on the way, for two UAVs may pass within a move. Two peers
+    count, because another one may be the nearest after the step.
     """
+    held = path_x.shape[1] > 0
     risk[:, :] = 0.0
     for rank in range(min(found, 2)):
         if near_square[rank] >= danger_square:
@@ -114,11 +144,16 @@ def put_risk(
         for move in range(9):
             goal_x, goal_y = go_x[other, move // 3], go_y[other, move % 3]
             _add_risk(fleet.safety, apart, go_x[u], go_y[u], goal_x, goal_y, 1.0 / 9.0, risk[0])
-        goal_x = min(fleet.width, max(0.0, x[other] + velocity[other, 0] * step_x / per_hold))
-        goal_y = min(fleet.depth, max(0.0, y[other] + velocity[other, 1] * step_y / per_hold))
-        _add_risk(fleet.safety, apart, go_x[u], go_y[u], goal_x, goal_y, 1.0, risk[1])
-    per_safety = per_hold / fleet.safety
-    for row in range(2):
-        for move in range(9):
-            seen[at + 9 * row + move] = risk[row, move] * per_safety
+        way_x, way_y = velocity[other, 0] * step_x, velocity[other, 1] * step_y
+        if held:
+            _add_way(fleet, apart, path_x[u], path_y[u], x[other], y[other], way_x, way_y, risk)
+        else:
+            goal_x = min(fleet.width, max(0.0, x[other] + way_x))
+            goal_y = min(fleet.depth, max(0.0, y[other] + way_y))
+            _add_risk(fleet.safety, apart, go_x[u], go_y[u], goal_x, goal_y, 1.0, risk[1])
+    per_safety = 1.0 / fleet.safety
+    for move in range(9):
+        seen[at + move] = risk[0, move] * (per_hold * per_safety)
+        on = risk[1, move] * per_safety
+        seen[at + 9 + move] = min(MOST_RISK, on) if held else on
     return at + 18

@@ -38,7 +38,7 @@ def begin_plan(
     place_x[:], place_y[:], v.gain[:], v.twice[:, :] = x, y, 0.0, 0.0
     if held:
         path_x, path_y = v.path_x[u], v.path_y[u]
-        for step in range(len(path_x)):
+        for step in range(len(place_x) // 9):
             for move in range(9):
                 place_x[9 * step + move], place_y[9 * step + move] = path_x[step, move // 3], path_y[step, move % 3]
         west, east = _stretch(x, path_x)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from eia_sec.common.actions.adapters import MirroredAxes, NineMoves
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, inset_of, lattice_of
-from eia_sec.common.farm_observation import FIELD_SCALE, HOLD, MOST_UNITS, field_range
+from eia_sec.common.farm_observation import FIELD_SCALE, HOLD, MOST_RISK, MOST_UNITS, field_range
 from eia_sec.rollout.sim.core.link import radio_constants
 from eia_sec.rollout.sim.observation.constants import PIECES, RATIO, chance_table
 from eia_sec.rollout.sim.observation.fields import FLOOR
@@ -137,7 +137,23 @@ def _risk(farm: FarmState, u: int) -> Array:
             view[row] += np.where(then < farm.config.world.safety_distance, np.maximum(0.0, now - then), 0.0).mean(
                 axis=1
             )
+    if farm.config.dynamics.inertial:
+        safety = farm.config.world.safety_distance
+        on = sum(_risk_on_the_way(farm, u, other) for other in nearest_of_type(farm, u)[:2])
+        return np.concatenate([view[0] / (safety * farm.move_steps), np.minimum(MOST_RISK, on / safety) * np.ones(9)])
     return view.reshape(-1) / safety
+
+
+def _risk_on_the_way(farm: FarmState, u: int, other: int) -> Array:
+    """Return SR of nine moves that are held, added up over their steps, beside a peer that keeps its velocity, [9]."""
+    (size, step), place = _world(farm), farm.position[other]
+    before, risk = np.full(9, math.dist(place, farm.position[u])), np.zeros(9)
+    for steps in range(1, 2 * HOLD + 1):
+        place = np.clip(place + velocity(farm, other) * step, 0.0, size)
+        then = np.linalg.norm(held_places(farm, u, MOVES, steps) - place, axis=1)
+        risk += np.where(then < farm.config.world.safety_distance, np.maximum(0.0, before - then), 0.0)
+        before = then
+    return risk
 
 
 def _two_moves(farm: FarmState, u: int, signs: Array) -> Array:

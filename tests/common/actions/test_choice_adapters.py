@@ -61,7 +61,7 @@ def test_hints_of_moves_lie_in_the_observation():
 
 def test_uavs_with_a_task_are_hinted_at_what_moves_serve():
     """Served units are worth it, and the way to others is the harm, where both are seen."""
-    default = preset("default").farm
+    default = preset("instant").farm
     names = farm_environment(default).tensor_names
     for group in farm_team(default).groups[1:]:
         seen, moves = names[group.name].observation, group.adapters[0]
@@ -75,7 +75,7 @@ def test_uavs_with_a_task_are_hinted_at_what_moves_serve():
 
 def test_relays_are_hinted_at_what_lowers_their_service_distance():
     """Where they see it, and where their reward is charged with it."""
-    default = preset("default").farm
+    default = preset("instant").farm
     names = farm_environment(default).tensor_names["communication"].observation
     relays = farm_team(default).groups[0].adapters[0]
     assert names[relays.potential : relays.potential + 9] == tuple(

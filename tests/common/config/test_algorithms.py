@@ -103,7 +103,7 @@ LINES = [
     ),
     (
         ["--replay.capacity", "5000"],
-        f"replay.capacity has no effect with ippo; it is an option of {named(OffPolicyConfig)}.",
+        f"replay.capacity has no effect with eia-ppo; it is an option of {named(OffPolicyConfig)}.",
     ),
     (
         ["--algorithm=masac", "--algorithm.no-ensemble"],
@@ -172,7 +172,7 @@ def test_a_memory_that_cannot_learn_is_refused(sentence, tmp_path, capsys):
     head = "" if text.startswith("memory") else 'memory = "gru"\n'
     toml = f"[algorithm]\n{head}{text}"
     with pytest.raises(ConfigError, match=sentence):
-        from_toml(toml, preset("default"))
+        from_toml(toml, preset("instant"))
     (tmp_path / "run.toml").write_text(toml)
     arguments = ["train", "--config", str(tmp_path / "run.toml"), "--run-dir", str(tmp_path / "run")]
     assert run_command(lambda: dispatch(arguments)) == 2
@@ -182,14 +182,14 @@ def test_a_memory_that_cannot_learn_is_refused(sentence, tmp_path, capsys):
 
 def test_a_run_may_have_memory():
     """Algorithms on policy take it over from each other, and it survives being written and read."""
-    config = from_toml('[algorithm]\nmemory = "gru"\nsequence_steps = 100', preset("default"))
+    config = from_toml('[algorithm]\nmemory = "gru"\nsequence_steps = 100', preset("instant"))
     assert (config.memory, config.memory_size) == ("gru", config.algorithm.hidden)
     assert from_toml(to_toml(config), preset("study")) == config
     other = with_values(config, {"algorithm.name": "eia-ppo"})
     assert (other.memory, other.on_policy.sequence_steps) == ("gru", 100)
     assert 0.0 < other.on_policy.shared_until < 1.0, "elites are imitated by agents that have networks of their own"
     assert (preset("eia-sec").memory, preset("eia-sec").memory_size) == ("none", 0)
-    assert preset("default").memory_size == 0
+    assert preset("instant").memory_size == 0
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_an_ablation_is_eia_sec_without_a_part(name):
 @pytest.mark.parametrize("key", ["farm.battery.power", "algorithm.reward_scale", "learner.checkpoint_seconds"])
 def test_every_option_is_part_of_the_digest(key):
     """Runs that differ in one option, even of a part that is off, have different digests."""
-    config = preset("default")
+    config = preset("instant")
     assert digest(with_values(config, {key: 17.5})) != digest(config) == digest(from_toml(to_toml(config), config))
 
 

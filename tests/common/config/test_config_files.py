@@ -248,7 +248,7 @@ WORDS = (
 WORDS += ("cuda", "mpe2:simple_spread_v3", "banded", "maddpg")
 WORDS += ("lattice", "velocity", "policy", "separate", "team", "bootstrap", "float32", "gru")
 WORDS += ("collection 0 at 9", "decoupled", "ppo", "south", "instant")
-BASES = "eia-sec", "default"
+BASES = "eia-sec", "instant"
 """Presets that have between them every option of a preset."""
 OTHER_VALUES = {
     bool: ["true", "false"],
@@ -290,7 +290,7 @@ def test_digest_depends_on_every_key(key, name):
 
 def test_entries_of_a_map_are_merged_by_key():
     """A file adds entries to those of the base, an empty table removes them all, and a saved configuration is whole."""
-    base = PRESETS["default"]
+    base = PRESETS["instant"]
     more = from_toml("[algorithm.hindsight]\ncollection = 0.5\n[algorithm.discounts]\nmonitoring = 1", base)
     assert more.on_policy.hindsight == {"collection": 0.5, "monitoring": 1.0}
     assert more.on_policy.discounts == {"communication": 1.0, "monitoring": 1.0}

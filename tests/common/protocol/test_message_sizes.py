@@ -95,7 +95,7 @@ def test_evaluations_have_the_computed_size():
 
 def test_what_no_frame_holds_is_refused():
     """The sentence says what is too large and what to change; both presets and a large fleet are taken."""
-    default = preset("default")
+    default = preset("instant")
     require_frames(default, farm_environment(default.farm))
     require_frames(BASE, FARM)
     require_frames(BASE, replace(FARM, team=TeamSpec(tuple(replace(group, count=32) for group in TEAM.groups))))

@@ -111,7 +111,7 @@ def equal(flown, config, policy, steps):
     return True
 
 
-@pytest.mark.parametrize("name", ["default", "inertial", "failing"])
+@pytest.mark.parametrize("name", ["instant", "inertial", "failing"])
 def test_whole_episodes_are_those_of_the_simulator_bit_for_bit(name):
     """Observations, actions and result are equal; UAVs with inertia, and ones that fail, too."""
     config = of(name)

@@ -21,7 +21,7 @@ from eia_sec.deploy.local.learners import (
     require_learners,
 )
 
-DEFAULT = preset("default")
+DEFAULT = preset("instant")
 VARIABLES = {"RANK": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "192.0.2.1", "MASTER_PORT": "29500"}
 
 

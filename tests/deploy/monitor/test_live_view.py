@@ -224,6 +224,7 @@ def test_every_kind_of_trouble_is_named():
     rows, sentences = examine(gone, training=False, over=True)
     assert sentences == []
     assert not any(row.trouble for row in rows)
+    assert all(row.left for row in rows)
     still = [worker(index, rate=0.0) for index in range(2)]
     assert examine(still, training=True)[1] == ["rollout worker-0 and rollout worker-1 produce no steps."]
     assert examine(still, training=False)[1] == []

@@ -47,7 +47,7 @@ class Client:
 def test_a_tracker_gets_configuration_and_scalars(tmp_path):
     """Each report of the learner once, by TensorBoard's names."""
     client, said = Client(), []
-    with Tracker(client, tmp_path / "mine", preset("default"), TEAM, said.append) as tracked:
+    with Tracker(client, tmp_path / "mine", preset("instant"), TEAM, said.append) as tracked:
         for step in (10, 10, 20):
             tracked.log(metrics(step))
         tracked.log_scalars({"eval/mean_reward": 7.0})
@@ -77,7 +77,7 @@ def test_a_run_that_does_not_finish_ends_as_that(tmp_path, error, outcome):
     client, said = Client(), []
     with (
         pytest.raises(type(error)) if error else nullcontext(),
-        Tracker(client, tmp_path / "mine", preset("default"), TEAM, said.append) as tracked,
+        Tracker(client, tmp_path / "mine", preset("instant"), TEAM, said.append) as tracked,
     ):
         tracked.log(metrics(10))
         if error:
@@ -119,7 +119,7 @@ def test_a_tracker_that_fails_is_counted_and_later_records_arrive(tmp_path):
             super().send(step, values)
 
     client, said = Failing(), []
-    with Tracker(client, tmp_path, preset("default"), TEAM, said.append) as tracked:
+    with Tracker(client, tmp_path, preset("instant"), TEAM, said.append) as tracked:
         for step in (10, 20, 30):
             tracked.log(metrics(step))
     assert said[-1] == "2 records did not reach failing: the server is away"
@@ -138,7 +138,7 @@ def test_a_tracker_that_hangs_delays_nobody(tmp_path, monkeypatch):
             free.wait()
 
     said = []
-    with Tracker(Hanging(), tmp_path, preset("default"), TEAM, said.append) as tracked:
+    with Tracker(Hanging(), tmp_path, preset("instant"), TEAM, said.append) as tracked:
         tracked.log(metrics(10))
         begun.wait()
         before = time.monotonic()
@@ -160,7 +160,7 @@ def test_a_tracker_that_cannot_begin_is_a_mistake_of_the_user(tmp_path):
             raise RuntimeError("nobody has logged in")
 
     with pytest.raises(UsageError, match="refusing cannot begin: nobody has logged in"):
-        Tracker(Refusing(), tmp_path, preset("default"), TEAM, said.append)
+        Tracker(Refusing(), tmp_path, preset("instant"), TEAM, said.append)
 
 
 @pytest.mark.parametrize("name", ["wandb", "mlflow"])
@@ -226,7 +226,7 @@ def test_a_run_directory_stays_usable_beside_a_tracker(tmp_path, monkeypatch, na
     monkeypatch.delenv("WANDB_DIR", raising=False)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.chdir(tmp_path)
-    config, folder = preset("default"), tmp_path / "runs" / "mine"
+    config, folder = preset("instant"), tmp_path / "runs" / "mine"
     RunDirectory(folder).prepare(config, resume=False)
     with Tracker(client_of(name), folder, config, TEAM, print) as tracked:
         learner = RunDirectory(folder)
@@ -245,7 +245,7 @@ def test_wandb_keeps_a_run_offline(tmp_path, monkeypatch):
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv("WANDB_DIR", str(tmp_path))
     said = []
-    with Tracker(client_of("wandb"), tmp_path / "mine", preset("default"), TEAM, said.append) as tracked:
+    with Tracker(client_of("wandb"), tmp_path / "mine", preset("instant"), TEAM, said.append) as tracked:
         tracked.log(metrics(10))
     (record,) = (tmp_path / "wandb").glob("offline-run-*/run-*.wandb")
     assert said[-1] == f"wandb has the run: {record.parent}"
@@ -278,7 +278,7 @@ def test_mlflow_keeps_a_run_in_files(tmp_path, monkeypatch, outcome):
     mlflow = pytest.importorskip("mlflow")
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     said = []
-    with Tracker(client_of("mlflow"), tmp_path, preset("default"), TEAM, said.append) as tracked:
+    with Tracker(client_of("mlflow"), tmp_path, preset("instant"), TEAM, said.append) as tracked:
         for step in (10, 20):
             tracked.log(metrics(step))
         tracked.log_scalars({name: 1.0 for name in ODD})

@@ -27,7 +27,7 @@ def run(arguments):
 
 @pytest.fixture
 def run_dir(tmp_path):
-    config = PRESETS["default"]
+    config = PRESETS["instant"]
     for line in SMALL:
         config = from_toml(line, config)
     folder = tmp_path / "my-run"
@@ -133,7 +133,7 @@ CHOICES = ("farm.control.communication=headings", "farm.control.monitoring=moves
 @pytest.mark.parametrize("shared", [False, True])
 def test_actors_that_choose_are_evaluated_and_replayed(tmp_path, shared):
     """A run whose UAVs choose moves and headings is flown by its file, and by no file of another control."""
-    config = PRESETS["default"]
+    config = PRESETS["instant"]
     for line in (*SMALL, *CHOICES):
         config = with_setting(config, line)
     (tmp_path / "config.toml").write_text(to_toml(config))

@@ -28,7 +28,7 @@ OTHER = TeamSpec((GroupSpec("chooser", 2, 9, 2, choices=(4, 3), masked=True), Gr
 @pytest.fixture(params=["farm", "shared", "other"])
 def run(request, tmp_path):
     """A run directory, its actors, and the observations of three environments over some steps."""
-    config = preset("default")
+    config = preset("instant")
     team = OTHER if request.param == "other" else farm_team(config.farm)
     if request.param == "other":
         config = replace(config, env=EnvConfig("some.module:env"))

@@ -206,7 +206,7 @@ def test_chunks_stay_whole_where_shorter_ones_teach_worse():
         assert IntakeLimits.of(far).least_steps == 125 * generic.rollout.environments
     memory = replace(generic, algorithm=replace(generic.on_policy, memory="gru", sequence_steps=25))
     assert IntakeLimits.of(memory).least_steps is None
-    assert IntakeLimits.of(preset("default")).least_steps is None
+    assert IntakeLimits.of(preset("instant")).least_steps is None
 
 
 def test_a_worker_that_leaves_stops_nobody():

@@ -71,7 +71,7 @@ def test_a_run_on_a_gpu_continues_bit_equal(cut):
 
 
 def test_a_farm_is_learned_on_a_gpu():
-    """The default preset's products of bfloat16 on the GPU learn as quickly as those of a processor."""
+    """The preset instant's products of bfloat16 on the GPU learn as quickly as those of a processor."""
     rewards: list[float] = []
 
     def watch(trainer, flown):

@@ -100,7 +100,7 @@ def test_json_is_as_promised():
     assert all(microseconds > 0 for microseconds in found["decide_us"].values())
     learned = found["on_policy"]
     assert (learned["preset"], learned["algorithm"], learned["width"], learned["threads"]) == (
-        "default",
+        "instant",
         "ippo",
         64,
         1,

@@ -19,7 +19,7 @@ SMALL = {
 
 def test_two_learners_are_measured_beside_one():
     """Every number is there, and the group's time in exchanges is a share of its time."""
-    found = measure(with_values(preset("default"), SMALL), learners=2, repeats=2)
+    found = measure(with_values(preset("instant"), SMALL), learners=2, repeats=2)
     assert found["learners"] == 2
     assert 0.0 < found["exchange"] < 1.0
     assert found["speed_up_least"] <= found["speed_up"] <= found["speed_up_most"]

@@ -73,7 +73,7 @@ def test_pay_for_links_does_not_count():
 def tiny(monkeypatch):
     """Replace the conditions by one that takes a second, and the heuristics by one."""
     for module in (conditions, condition_farms):
-        monkeypatch.setattr(module, "CONDITIONS", {"tiny": ("connected", TINY), "other": ("default", TINY)})
+        monkeypatch.setattr(module, "CONDITIONS", {"tiny": ("connected", TINY), "other": ("instant", TINY)})
     monkeypatch.setattr(conditions, "TASKS", ("greedy",))
 
 

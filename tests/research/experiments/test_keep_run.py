@@ -29,7 +29,7 @@ def scores(policy, reward):
 @pytest.fixture
 def results(tmp_path, monkeypatch):
     """Return the folder of results of one small condition, with policies of two seeds."""
-    monkeypatch.setitem(CONDITIONS, "tiny", ("default", "[farm.world]\nsteps = 20"))
+    monkeypatch.setitem(CONDITIONS, "tiny", ("instant", "[farm.world]\nsteps = 20"))
     longer = {**scores("longer", 2.0), "others": [{**scores("longer", 3.0), "seed": 1, "commit": "old"}]}
     tiny = {"commit": "old, longer old", "heuristics": [scores("greedy", 4.0)], "longer": longer}
     data = {"command": "made", "commit": "old", "farms": [1000, 1001], "episodes": 1, "seed": 0}
@@ -86,7 +86,7 @@ def test_mistakes_are_one_sentence_and_change_nothing(results, tmp_path, monkeyp
     """The results stay as they are, and no policy ships."""
     before = (results / "results.json").read_bytes()
     tiny = replace(longer_configuration("tiny", seed or 0), episodes=2)
-    config = configuration("default", 2, 0) if seed is None else tiny
+    config = configuration("instant", 2, 0) if seed is None else tiny
     run = finished_run(tmp_path / "run", config)
     with pytest.raises(UsageError, match=sentence):
         call(monkeypatch, run, "--commit", "new", "--output", results, *words)
@@ -94,7 +94,7 @@ def test_mistakes_are_one_sentence_and_change_nothing(results, tmp_path, monkeyp
 
 
 def test_where_the_farm_is_the_defaults_the_longer_policy_has_the_preset_long(results, tmp_path, monkeypatch):
-    """A run of the preset long becomes it, and one of the default preset is refused."""
+    """A run of the preset long becomes it, and one of the preset instant is refused."""
     found = longer_configuration("tiny", 4)
     assert found == replace(preset("long"), farm=replace(preset("long").farm, world=found.farm.world), seed=4)
     for config, fits in ((replace(found, episodes=2), True), (configuration("tiny", 2, 4), False)):

@@ -34,7 +34,7 @@ def test_a_goal_that_is_never_reached():
 
 def test_scripted_relays_leave_the_others_to_the_policy():
     """Relays do what the heuristic does on the same farm, and monitors and collectors what the policy does."""
-    farm = preset("default").farm
+    farm = preset("instant").farm
     policies = scripted_relays(policy_of("greedy", farm), farm), policy_of(SCRIPT, farm), policy_of("greedy", farm)
     batch = FarmBatch(farm, 1)
     batch.reset(0, 1000, 0)
@@ -72,4 +72,4 @@ def test_runs_of_another_preset_are_not_added(tmp_path):
     asked = Arguments((), "c", preset="long", add=True, write=tmp_path / "seeds.json")
     assert _earlier(asked) == [{"seed": 3}]
     with pytest.raises(UsageError, match="another preset"):
-        _earlier(replace(asked, preset="default"))
+        _earlier(replace(asked, preset="instant"))

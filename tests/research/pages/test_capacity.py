@@ -37,7 +37,7 @@ def test_each_part_saturates_where_its_arithmetic_says():
     assert found["link, transitions in"] == pytest.approx(1e8 / 1000.0)
     assert found["workers"] == pytest.approx(30_000.0)
     assert found["intake, TCP"] == pytest.approx(160 / 1.16e-3)
-    published = capacity.parameter_bytes(preset("default").on_policy, farm_team(preset("default").farm))
+    published = capacity.parameter_bytes(preset("instant").on_policy, farm_team(preset("instant").farm))
     assert found["link, parameters out"] == pytest.approx(1e8 / (3 * published) * 16_000)
     faster = capacity.saturation(Plan(update_us=20.0, collect_us=50.0, round_trip_ms=1e-6), MEASURED)
     assert faster["learner's updates"] == pytest.approx(50_000.0)

@@ -43,7 +43,7 @@ def test_pictures_are_up_to_date(tmp_path):
         assert np.abs(drawn - kept).mean() < 0.002, "run `make docs`"
 
 
-@pytest.mark.parametrize("name", ["default", "eia-sec"])
+@pytest.mark.parametrize("name", ["instant", "eia-sec"])
 def test_a_kept_run_is_that_of_its_preset(name):
     """What the pages call the result of a preset was made with exactly its settings."""
     assert read_saved(ROOT / "research" / "results" / name / "config.toml") == PRESETS[name]

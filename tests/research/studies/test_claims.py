@@ -200,7 +200,7 @@ def test_heuristics_fail_only_when_they_do():
     """They are judged by the study, and as long as it is missing by the policy that ships."""
     flown = {
         "results": [
-            {"policy": "trained", "reward": (997, 988, 1004)},
+            {"policy": "trained:instant", "reward": (997, 988, 1004)},
             {"policy": "horizon", "reward": (1419, 1416, 1421)},
         ]
     }

@@ -45,13 +45,13 @@ def verdicts(text, word):
 
 def test_targets_are_met_only_by_the_whole_interval():
     """Reward against the best heuristic and the supply bound, AoI and VDF against all of them; nothing else is met."""
-    good = {"results": [flown("trained", 1600.0, 0.4), flown("horizon", 1400.0, 0.5)], "last_farm": 1099}
+    good = {"results": [flown("trained:instant", 1600.0, 0.4), flown("horizon", 1400.0, 0.5)], "last_farm": 1099}
     text = targets_block(good, None, None)
     assert verdicts(text, "the policy that ships") == ["met"] * 4
     assert verdicts(text, "seeds of") == ["not measured"] * 4
     assert "1540 (horizon 1400)" in text
     assert "1600 (1595..1605); 1600 on 1020..1099" in text
-    close = {"results": [flown("trained", 1278.0, 0.4), flown("horizon", 1164.0, 0.415)], "last_farm": 1099}
+    close = {"results": [flown("trained:instant", 1278.0, 0.4), flown("horizon", 1164.0, 0.415)], "last_farm": 1099}
     assert verdicts(targets_block(close, None, None), "the policy that ships") == ["not met"] * 4
     assert "0 of 12 met." in targets_block(close, None, None)
 

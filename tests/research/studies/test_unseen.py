@@ -25,5 +25,5 @@ def test_one_policy_has_an_interval_over_farms_and_seeds_over_seeds():
 def test_every_policy_flies_on_a_farm_of_its_own_observations():
     """One short flight of the simplest of them gives every field of every farm."""
     assert set(FLOWN.values()) <= set(PRESETS)
-    found = scores("lawnmower", "lawnmower", PRESETS["default"].farm, range(2000, 2002))
+    found = scores("lawnmower", "lawnmower", PRESETS["instant"].farm, range(2000, 2002))
     assert {field: len(values) for field, values in found.items()} == dict.fromkeys(COLUMNS, 2)

@@ -57,7 +57,7 @@ def test_links_that_reach_everywhere_need_no_flight():
     assert np.abs(batch.position[0, :4] - start).max() < 2.0  # they idle back and forth
 
 
-@pytest.mark.parametrize(("config", "name"), [(FARM, "coverage"), (preset("default").farm, "search")])
+@pytest.mark.parametrize(("config", "name"), [(FARM, "coverage"), (preset("instant").farm, "search")])
 def test_a_task_heuristic_brings_the_relays_that_the_farm_needs(config, name):
     """`tour` alone is `tour+coverage` where links count, and `tour+search` elsewhere."""
     assert default_relays(config) == name

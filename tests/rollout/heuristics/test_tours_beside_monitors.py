@@ -33,7 +33,7 @@ def test_no_tours_without_pairs():
 
 def test_only_links_that_count_change_the_tours():
     """Links of any length: the same farm, flown by another division of the sensors."""
-    farm = preset("default").farm
+    farm = preset("instant").farm
     short = replace(farm, world=replace(farm.world, steps=60))
     linked = replace(short, relay=replace(short.relay, require_link=True, link_range=2000.0))
     scores = [

@@ -19,7 +19,7 @@ from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose
 
-USUAL = preset("default").farm
+USUAL = preset("instant").farm
 FARM = replace(
     USUAL, dynamics=DynamicsConfig(model="inertial", delay=(0.25,)), observation=replace(USUAL.observation, route=False)
 )

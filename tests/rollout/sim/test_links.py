@@ -104,6 +104,6 @@ def test_both_ends_see_the_same_link():
 
 def test_the_switch_is_off_in_every_preset_of_the_paper():
     """Links are seen and paid for where a preset says so."""
-    for name in ("default", "quick", "eia-sec", "study", "paper"):
+    for name in ("instant", "quick", "eia-sec", "study", "paper"):
         assert not preset(name).farm.observation.link
         assert preset(name).farm.reward.relayed == 0.0

@@ -15,7 +15,7 @@ from eia_sec.rollout.worker.action_sampler import ActionSampler
 
 BORDER = (-1.0, -0.9995, -0.975, -0.95, 0.0, 0.95, 0.975, 0.9995, 1.0)
 """Places at the border, at cells' borders and between them, where rounding decides which cell it is."""
-TEAMS = {name: farm_team(preset(name).farm) for name in ("default", "long", "battery")}
+TEAMS = {name: farm_team(preset(name).farm) for name in ("instant", "long", "battery")}
 
 
 def drawn(team: TeamSpec, rows: int, draw: np.random.Generator) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_they_are_the_choices_of_numpy(name, shared, seed, scale, edge):
 
 def test_actors_with_memory_remember():
     """The state of their unit moves on once for each choice."""
-    team, draw = TEAMS["default"], np.random.default_rng(4)
+    team, draw = TEAMS["instant"], np.random.default_rng(4)
     actors = TeamActors.initial(team, 8, 1, shared=True, head="gaussian", memory="gru")
     seen, uniform = drawn(team, 1, draw), draw.random((1, team.action_size), np.float32)
     own, other = np.zeros((2, 1, team.agents, 8), np.float32)
@@ -75,7 +75,7 @@ def test_actors_with_memory_remember():
 
 def test_draws_decide_as_often_as_options_are_likely():
     """Among 4,000 agents that see the same, each option's share is its probability."""
-    team, draw = TEAMS["default"], np.random.default_rng(3)
+    team, draw = TEAMS["instant"], np.random.default_rng(3)
     actors = acting(team, 0.5, draw, shared=True)
     seen = np.tile(drawn(team, 1, draw), (4000, 1))
     uniform = draw.random((4000, team.action_size), np.float32)
@@ -89,7 +89,7 @@ def test_draws_decide_as_often_as_options_are_likely():
 
 def test_other_teams_are_left_to_numpy():
     """Continuous actions, masks, several branches, and one type of three that does not fit."""
-    whole = TEAMS["default"]
+    whole = TEAMS["instant"]
     assert ActionSampler(whole).compiled
     assert not ActionSampler(farm_team(preset("study").farm)).compiled
     for group in (
