@@ -15,7 +15,8 @@ class JaxMarlEnvironment(Vectorised):
     """A JaxMARL environment, mapped over the batch and compiled once.
 
     Each environment has random numbers of its own, from its episode's seed. JaxMARL does not tell time limits from
-    terminal states: an end at `max_steps`, where an environment has it, is a truncation.
+    terminal states, and MPE's environments end a step late. So an episode is truncated after `max_steps`, where an
+    environment has them.
 
     Args:
         environments: E.
@@ -79,9 +80,8 @@ class JaxMarlEnvironment(Vectorised):
         key, state, _ = self._batch
         self._batch, rewards, done = self._step(key, state, dict(actions))
         self._time += 1
-        over = np.asarray(done)
-        late = over & (self._time >= self._most) if self._most else np.zeros_like(over)
-        return {agent: np.asarray(reward) for agent, reward in rewards.items()}, over & ~late, late
+        late = self._time >= self._most if self._most else np.zeros(len(self._time), np.bool_)
+        return {agent: np.asarray(reward) for agent, reward in rewards.items()}, np.asarray(done) & ~late, late
 
 
 def _limit_threads(threads: int) -> None:
