@@ -16,7 +16,7 @@ from tests.system.training import gone
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 COMMAND = (
     *(sys.executable, "-m", "eia_sec.deploy.cli", "benchmark", "--plugin", "mytask", "--algorithms", "ippo,smooth"),
-    *("--env", "cover", "--seeds", "2", "--steps", "1600", "--points", "2", "--scenarios", "2", "--jobs", "1", "--set"),
+    *("--env", "cover", "--seeds", "1", "--steps", "1600", "--points", "2", "--scenarios", "2", "--jobs", "1", "--set"),
     *("algorithm.hidden=8", "algorithm.iteration_steps=200", "algorithm.minibatch_steps=100", "algorithm.epochs=1"),
     *("rollout.environments=2", "rollout.chunk_steps=20"),
 )
@@ -55,27 +55,27 @@ def test_a_benchmark_goes_on_where_it_was_stopped(benchmark, tmp_path):
     out = tmp_path / "out"
     process = benchmark()
     deadline = time.monotonic() + 300.0
-    while len(records(out)) < 2:
+    while not records(out):
         assert process.poll() is None, (tmp_path / "output.txt").read_text()
-        assert time.monotonic() < deadline, "two runs did not happen within 300 s"
+        assert time.monotonic() < deadline, "a run did not happen within 300 s"
         time.sleep(0.1)
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGINT)
     assert process.wait(30.0) == 130
     assert gone(children)
     before = records(out)
-    assert 2 <= len(before) < 5
+    assert 1 <= len(before) < 3
     assert not (out / "README.md").exists()
     again = benchmark()
     assert again.wait(300.0) == 0, (tmp_path / "output.txt").read_text()
     after = records(out)
-    assert len(after) == 5
+    assert len(after) == 3
     assert {name: after[name] for name in before} == before
     said = (tmp_path / "output.txt").read_text()
-    assert f"{5 - len(before)} runs to do, {len(before)} are there" in said
+    assert f"{3 - len(before)} runs to do, {len(before)} are there" in said
     found = json.loads((out / "marl_eval.json").read_text())["mytask.env"]["cover"]
     assert list(found) == ["ippo", "smooth"]
-    assert all(list(runs) == ["seed_0", "seed_1"] for runs in found.values())
+    assert all(list(runs) == ["seed_0"] for runs in found.values())
     page = (out / "README.md").read_text()
     assert "eia-sec benchmark --plugin mytask --algorithms ippo,smooth --env mytask.env:Cover" in page
     assert "| smooth |" in page
