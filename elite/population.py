@@ -26,13 +26,13 @@ from eia_sec.common.reward_sums import RewardSums
 from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.elite.evaluation_plan import population_plan
-from eia_sec.elite.rounds import Ranking, perturbed, ranked
+from eia_sec.elite.rounds import Ranking, perturbed, ranked, weak_members
 from eia_sec.elite.service import IDLE_SECONDS, Coordinator, CoordinatorOptions
 
 JOIN_SECONDS = 1.0
 """Pause between two attempts to reach a member."""
 AWAY_SECONDS = 3.0 * LEASE_SECONDS
-"""Time for which a member may be out of reach before a round begins again without it."""
+"""Time for which a member may be out of reach before a round begins without it, or begins again."""
 PATIENCE_SECONDS = 5.0
 """Time between two lines of the log while a member does not answer."""
 
@@ -115,6 +115,7 @@ class Population:
     def __init__(self, options: Sequence[CoordinatorOptions]) -> None:
         self._options = options
         self._members: dict[str, Member] = {}
+        self._expected = {one.run for one in options}
         self._held = 0
         # Until the end: a member may finish while it is told of a round.
         self._sessions = ExitStack()
@@ -153,7 +154,10 @@ class Population:
         if self._belongs(options.run, config, team):
             self._members[options.run] = Member(options.run, coordinator, config, team, bus)
             log(f"population: {options.run} joined.")
+        else:
+            self._expected.discard(options.run)
         yield from coordinator.run(stop)
+        self._expected.discard(options.run)
         if self._members.pop(options.run, None) is not None:
             log(f"population: {options.run} left.")
 
@@ -171,16 +175,20 @@ class Population:
 
     def _rounds(self, stop: StopSignal) -> Loop[None]:
         """Hold each round when it is due, without end."""
+        begun = monotonic()
         while True:
             yield IDLE_SECONDS
             present = self._present()
-            if len(present) < 2:
+            missing = self._expected.difference(member.name for member, _ in present)
+            if len(present) < 2 or (missing and monotonic() - begun < AWAY_SECONDS):
                 continue
             number = min(
                 round_due(member.config, member.config.progress(now.episodes, now.environment_steps))
                 for member, now in present
             )
-            held = max(self._held, *(now.round or 0 for _, now in present))
+            told = sorted((now.round or 0 for _, now in present), reverse=True)
+            # Weak members are told before all others: a round that fewer know than those is not over.
+            held = max(self._held, told[weak_members(len(present)) - 1])
             if number > held:
                 yield from self._hold(number, present, stop)
 
@@ -220,25 +228,42 @@ class Population:
         yield from self._tell(number, ranking, results, stop)
 
     def _tell(self, number: int, ranking: Ranking, results: Sequence[_Result], stop: StopSignal) -> Loop[None]:
-        """Tell each member what the round means for it."""
-        delivered = []
+        """Tell each member what the round means for it, the weak ones first: if one cannot be told, nobody else is."""
+        events = []
         for result in results:
             try:
                 event = _outcome(number, ranking, result, {other.member.name: other for other in results})
             except ProtocolError as error:
                 log(f"population: round {number} for {result.member.name}: {error}")
                 continue
+            if (result.progress.round or 0) < number:  # a weak one may know it from an attempt before this
+                events.append((result, event))
+        first = [(result, event) for result, event in events if result.member.name in ranking.weak]
+        missed = yield from self._delivered(first, stop)
+        if missed:
+            if not stop:
+                log(f"population: round {number} begins again, because {', '.join(missed)} could not be told.")
+            return
+        self._held = number
+        yield from self._delivered([one for one in events if one not in first], stop)
+
+    def _delivered(self, events: Sequence[tuple[_Result, Exploit]], stop: StopSignal) -> Loop[list[str]]:
+        """Send members what a round means for them; return the names of those that did not take it."""
+        asked, missed = [], []
+        for result, event in events:
             payload = ExploitMessage.of(event, result.progress.epoch).encode()
-            loop = result.member.coordinator.deliver(keys.POPULATION, payload, f"round {number}", stop)
-            delivered.append((result.member, event, Running(loop)))
-        while delivered:
+            loop = result.member.coordinator.deliver(keys.POPULATION, payload, f"round {event.round}", stop)
+            asked.append((result.member, event, Running(loop)))
+        while asked:
             yield IDLE_SECONDS
-            for member, event, running in list(delivered):
+            for member, event, running in list(asked):
                 if running.step():
-                    delivered.remove((member, event, running))
+                    asked.remove((member, event, running))
                     if running.result:
-                        self._held = number
                         log(_sentence(member, event))
+                    else:
+                        missed.append(member.name)
+        return missed
 
 
 def _outcome(number: int, ranking: Ranking, result: _Result, results: Mapping[str, _Result]) -> Exploit:

@@ -45,6 +45,11 @@ class Ranking:
         return tuple(elite if weak and elite != member else "" for elite, _ in self.elites)
 
 
+def weak_members(members: int) -> int:
+    """Return how many of so many members imitate in a round, if not all score alike."""
+    return max(1, int(WEAK_SHARE * members))
+
+
 def ranked(team: TeamSpec, config: EliteConfig, rewards: Mapping[str, RewardSums]) -> Ranking:
     """Return the ranking of members that were evaluated on the same episodes.
 
@@ -57,7 +62,7 @@ def ranked(team: TeamSpec, config: EliteConfig, rewards: Mapping[str, RewardSums
     whole = {name: float(np.concatenate(omega).mean()) for name, omega in omegas.items()}
     order = sorted(whole, key=lambda name: whole[name])
     best = whole[order[-1]]
-    weak = tuple(name for name in order[: max(1, int(WEAK_SHARE * len(order)))] if whole[name] < best)
+    weak = tuple(name for name in order[: weak_members(len(order))] if whole[name] < best)
     elites = []
     for kind in range(len(team.groups)):
         elite = max(omegas, key=lambda name: float(omegas[name][kind].mean()))

@@ -65,8 +65,10 @@ class Trainer(ABC):
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         round: newest round of a population that it took part in; 0 before the first.
         exploits: rounds in which its actors imitated another learner's.
+        replaced: newest version whose actors are gone, because agents got others in such a round; 0 before the first.
         separate_since: episodes that were finished when agents got actors of their own; None while they share them.
-        rewards: of each agent in training, since agents got actors of their own; before that from the beginning.
+        rewards: of each agent in training, since agents got actors of their own or in a round another learner's; before
+            that from the beginning.
         recent: the newest finished episodes.
     """
 
@@ -77,7 +79,7 @@ class Trainer(ABC):
         self.config, self.team = config, team
         usable_device(config.learner.device)
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
-        self.evaluation_steps = self.round = self.exploits = 0
+        self.evaluation_steps = self.round = self.exploits = self.replaced = 0
         self.separate_since: int | None = 0
         self.rewards = RewardSums.none(team.agents)
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
@@ -92,7 +94,8 @@ class Trainer(ABC):
             number: number of the chunk among those of the source.
         """
         self.take_in(chunk, version, source, number)
-        self.rewards = self.rewards.plus(chunk.rows.reward, chunk.rows.steps)
+        if not self.exploits or version > self.replaced:
+            self.rewards = self.rewards.plus(chunk.rows.reward, chunk.rows.steps)
         self.environment_steps += chunk.rows.steps
         self.episodes += len(chunk.episodes)
         self.recent.extend(chunk.episodes)
@@ -182,6 +185,8 @@ class Trainer(ABC):
             return False
         if event.event > self.events + 1:
             raise SchemaError(f"imitation event {event.event} cannot follow event {self.events}.")
+        if self.exploits and event.version <= self.replaced:
+            raise SchemaError(f"imitation event {event.event} scores actors that round {self.round} has replaced.")
         flat = self.actors().flat
         for parameters, elite in zip(flat, event.elites, strict=True):
             imitate(parameters, elite, event.rate)
@@ -215,7 +220,8 @@ class Trainer(ABC):
                 if len(elite):
                     blend(own, elite, event.rate)
             self.load_actors(flat)
-            self.exploits += 1
+            self.exploits, self.replaced = self.exploits + 1, self.version
+            self.rewards = RewardSums.none(self.team.agents)
         self._tune(event.hyperparameters)
         self.round = event.round
         self.evaluation_steps += event.evaluation_steps
@@ -250,7 +256,8 @@ class Trainer(ABC):
         plain |= {"separate_since": self.separate_since, "rewards": rewards_record(self.rewards)}
         if self.config.population.members:
             values = hyperparameters_of(self.config)
-            plain["population"] = {"round": self.round, "exploits": self.exploits, "hyperparameters": values}
+            counts = {"round": self.round, "exploits": self.exploits, "replaced": self.replaced}
+            plain["population"] = {**counts, "hyperparameters": values}
         return tensors, plain
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -270,25 +277,27 @@ class Trainer(ABC):
         if since is None and self.separate_since is not None:
             raise CheckpointError("the checkpoint's agents share networks, and those of the configuration do not.")
         rewards = restored_rewards(state.get("rewards"), self.team.agents)
-        round_, exploits, values = self._of_population(state)
+        counted, values = self._of_population(state)
         self.restore_parts(tensors, state)
         self.separate_since, self.rewards = since, rewards
-        self.round, self.exploits = round_, exploits
+        self.round, self.exploits, self.replaced = counted
         self._tune(values)
         for name in COUNTERS:
             setattr(self, name, counts[name])
         self.recent = deque(recent, maxlen=RECENT_EPISODES)
 
-    def _of_population(self, state: Mapping[str, Any]) -> tuple[int, int, dict[str, float]]:
-        """Return the round, the exploits and the hyperparameters in a checkpoint's state."""
+    def _of_population(self, state: Mapping[str, Any]) -> tuple[tuple[int, int, int], dict[str, float]]:
+        """Return round, exploits and replaced version, and the hyperparameters, in a checkpoint's state."""
         if not self.config.population.members:
-            return 0, 0, {}
+            return (0, 0, 0), {}
         held = mapping(state, "population")
         try:
             values = checked_hyperparameters(self.config, mapping(held, "hyperparameters"))
         except SchemaError as error:
             raise CheckpointError(f"the checkpoint's hyperparameters do not fit the configuration: {error}") from error
-        return counter(held, "round"), counter(held, "exploits"), values
+        # Release 0.1.0 did not keep the last one.
+        replaced = counter(held, "replaced") if "replaced" in held else 0
+        return (counter(held, "round"), counter(held, "exploits"), replaced), values
 
 
 @contextmanager

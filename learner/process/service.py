@@ -228,6 +228,8 @@ class Learner:
             log(f"the first update was made after {self.trainer.environment_steps} steps.")
 
     def _awaits_event(self) -> bool:
+        if not (self._config.elite.farms or self.trainer.rewards.steps):
+            return False  # the agents have earned nothing yet by which they could be scored
         has_coordinator = self._commands.lease.holder is not None
         return self._schedule.awaits_event(self.trainer, has_coordinator=has_coordinator, now=monotonic())
 

@@ -49,7 +49,7 @@ class FakeMember:
         self.name, self.worth, self.endpoint = f"member-{number}", worth, free_endpoint()
         self.config = with_values(config, {"seed": number, "algorithm.actor_rate": 1e-3 * (1 + number)})
         self.rate, self.round, self.episodes, self.state = 1e-3 * (1 + number), 0, 0, "training"
-        self.orders, self.told = [], []
+        self.orders, self.told, self.refuses = [], [], 0
         self.flat = tuple(np.full((1, 5), number, np.float32) for _ in TEAM.groups)
         self.bus = held.enter_context(Bus.listen(self.endpoint, "control"))
         self._commands = self.bus.serve(keys.COMMAND.pattern(self.name), 16)
@@ -74,6 +74,10 @@ class FakeMember:
             steps = np.full(len(order.farms), 4, np.int64)
             incoming.reply(EvaluationResult(order.event, order.version, reward, steps).encode())
         for incoming in self._rounds.waiting():
+            if self.refuses:
+                self.refuses -= 1
+                incoming.reply(ReceiptMessage(False, "not now").encode())
+                continue
             message = ExploitMessage.decode(incoming.payload)
             event = message.to_event()
             event.check(TEAM, self.config)
@@ -162,6 +166,37 @@ def test_another_coordinator_goes_on_with_the_next_round(trial):
         member.episodes = 35
     trial.held(3, *trial.members)
     assert [[event.round for event in member.told] for member in trial.members] == [[1, 3]] * 3
+
+
+def test_a_round_that_the_weak_one_did_not_take_is_held_again(trial):
+    """Nobody else hears of it before, so that another coordinator does not take it for held."""
+    first, second, weak = trial.members
+    weak.refuses = 1_000_000
+    for member in trial.members:
+        member.episodes = 10
+    trial.until(lambda: weak.refuses < 999_999, "two refusals")
+    assert first.told == second.told == []
+    trial.replace()
+    weak.refuses = 0
+    trial.held(1, *trial.members)
+    assert weak.told[0].sources == ("member-1", "member-0")
+
+
+def test_a_round_is_held_until_all_weak_ones_know_it():
+    """Of eight members two imitate; while one of them knows a round and the other does not, it is held again."""
+    with ExitStack() as held:
+        trial = Trial([FakeMember(number, (number, number, number), held) for number in range(8)])
+        try:
+            weakest, other, *strong = trial.members
+            other.refuses = 1
+            for member in trial.members:
+                member.episodes = 10
+            trial.held(1, *trial.members)
+            assert [len(member.told) for member in trial.members] == [1] * 8
+            assert weakest.told[0].sources == other.told[0].sources == ("member-7", "member-7")
+            assert all(len(member.orders) == 2 for member in strong)
+        finally:
+            trial.end()
 
 
 def test_a_member_that_has_left_is_not_waited_for(trial):
