@@ -8,7 +8,7 @@ from typing import Final
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import with_values
-from eia_sec.common.errors import EiaSecError
+from eia_sec.common.errors import EiaSecError, UsageError
 from eia_sec.common.log import log
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import TeamSpec
@@ -57,14 +57,14 @@ class LocalMember:
         processes: the same, once started.
         monitor: its state; None until its learner was reached.
         bus: the session with its learner, likewise.
-        failure: why it was given up, or empty.
+        failure: why it was given up, or None.
     """
 
     def __init__(self, plan: ProcessPlan) -> None:
         self.plan, self.processes = plan, TrainingProcesses(plan)
         self.monitor: RunMonitor | None = None
         self.bus: Bus | None = None
-        self.failure = ""
+        self.failure: EiaSecError | None = None
 
     @property
     def name(self) -> str:
@@ -74,7 +74,7 @@ class LocalMember:
     @property
     def over(self) -> bool:
         """Whether it has ended."""
-        return bool(self.failure) or self.processes.over
+        return self.failure is not None or self.processes.over
 
     @contextmanager
     def given_up(self) -> Iterator[None]:
@@ -82,7 +82,7 @@ class LocalMember:
         try:
             yield
         except EiaSecError as error:
-            self.failure = str(error)
+            self.failure = error
             log(f"{self.name} is given up: {error}")
             self.processes.stop()
 
@@ -126,6 +126,8 @@ class Members:
 
     def start(self) -> None:
         """Start all processes."""
+        if not self.training:
+            return
         for member in self.training:
             member.processes.start()
         where = [f"{member.name}={member.plan.endpoint}" for member in self.training]
@@ -151,7 +153,7 @@ class Members:
         for member in self.training:
             if member.monitor is not None:
                 member.monitor.update()
-            if not member.failure:
+            if member.failure is None:
                 with member.given_up():
                     member.processes.watch(training=member.monitor is not None and member.monitor.trains)
                     member.processes.raise_failure()
@@ -180,8 +182,15 @@ class Members:
         """Return what workers that have ended say of steps that are lost with them."""
         return [line for member in self.training for line in member.processes.undelivered()]
 
-    def raise_failure(self) -> None:
-        """Raise EiaSecError if a member was given up."""
-        failed = [f"{member.name}: {member.failure}" for member in self.training if member.failure]
-        if failed:
-            raise EiaSecError("; ".join(failed))
+    def failure(self) -> EiaSecError | None:
+        """Return who was given up and why; a UsageError where that are all members, for mistakes of the user."""
+        failed = {member.name: member.failure for member in self.training if member.failure is not None}
+        if not failed:
+            return None
+        whole = len(failed) == self._plan.config.population.members
+        reasons = {str(error) for error in failed.values()}
+        said = "; ".join(f"{name} failed: {error}" for name, error in failed.items())
+        if whole and len(reasons) == 1:
+            said = f"all members failed: {reasons.pop()}"
+        mistakes = whole and all(isinstance(error, UsageError) for error in failed.values())
+        return UsageError(said) if mistakes else EiaSecError(said)

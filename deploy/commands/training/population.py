@@ -46,11 +46,7 @@ class PopulationTraining:
         self._printed = 0.0
 
     def run(self) -> None:
-        """Train until all members are done or the user stops; no process is left afterwards.
-
-        Raises:
-            EiaSecError: members were given up; the others have trained to their end.
-        """
+        """Train until all members are done or given up, or the user stops; no process is left afterwards."""
         self._stop.install()
         members = self._members
         try:
@@ -67,7 +63,6 @@ class PopulationTraining:
         if self._stop:
             for line in members.undelivered():
                 self._tell(line)
-        members.raise_failure()
 
     def _watch(self) -> None:
         if not self._console.is_terminal:
@@ -106,17 +101,18 @@ class PopulationTraining:
 def _snapshot(member: LocalMember) -> Snapshot | None:
     if member.monitor is None:
         return None
-    return member.monitor.snapshot((*member.processes.supervisor.alarms, *filter(None, (member.failure,))))
+    failure = () if member.failure is None else (str(member.failure),)
+    return member.monitor.snapshot((*member.processes.supervisor.alarms, *failure))
 
 
 def best_member(root: RunDirectory, config: RunConfig, team: TeamSpec, console: Console) -> RunDirectory:
-    """Score the final policies of all members, print them with their lineage, and return the best one's folder.
+    """Score the final policies of the members, print them with their lineage, and return the best one's folder.
 
     They fly noise-free episodes on training farms, as in a round: the best one is not chosen by the farms on which a
     report evaluates it. Its policy becomes that of the run directory.
 
     Args:
-        root: the run directory of a population whose members have finished.
+        root: the run directory of a population of which one member or more has finished; the others are left out.
         config: its configuration.
         team: the layout of the team.
         console: prints the table.
@@ -124,7 +120,8 @@ def best_member(root: RunDirectory, config: RunConfig, team: TeamSpec, console: 
     from eia_sec.deploy.reports.lineage import exploits, lineage, sentences  # noqa: PLC0415  (loading the plots would delay the processes)
     from eia_sec.deploy.reports.run_report import read_metrics  # noqa: PLC0415  (likewise)
 
-    directories = {directory.path.name: directory for directory in member_directories(root.path, config)}
+    finished = [directory for directory in member_directories(root.path, config) if directory.finished()]
+    directories = {directory.path.name: directory for directory in finished}
     console.print("scoring the members on training farms ...", highlight=False)
     ranking = _final_ranking(directories, team)
     metrics = {name: exploits(read_metrics(directory.path / METRICS)) for name, directory in directories.items()}
@@ -151,15 +148,17 @@ def _final_ranking(directories: dict[str, RunDirectory], team: TeamSpec) -> Rank
 
 
 def _table(ranking: Ranking, metrics: Mapping[str, Sequence[Mapping[str, Any]]], config: RunConfig) -> Table:
-    """Return the members by their final scores, the best first."""
+    """Return the members by their final scores, the best first, with the rounds that they took part in."""
     table = Table(box=None, pad_edge=False)
     table.add_column("member")
-    table.add_column("score omega", justify="right")
+    for name in ("score omega", "rounds"):
+        table.add_column(name, justify="right")
     names = list(hyperparameters_of(config))
     for name in names:
         table.add_column(name, justify="right")
     for member in sorted(ranking.scores, key=lambda one: -ranking.scores[one]):
         values = metrics[member][-1]["hyperparameters"] if metrics[member] else {}
         shown = [f"{values[name]:.3g}" if name in values else "-" for name in names]
-        table.add_row(member, f"{ranking.scores[member]:.4g}", *shown)
+        rounds = f"{len(metrics[member])} of {round_due(config, 1.0)}"
+        table.add_row(member, f"{ranking.scores[member]:.4g}", rounds, *shown)
     return table

@@ -186,7 +186,7 @@ def _train(
 def _train_population(
     plan: ProcessPlan, options: TrainArguments, team: TeamSpec, console: Console, asked: Sequence[str]
 ) -> None:
-    """Train a population; once all members have finished, score them and report on the best.
+    """Train a population; once all members have finished or failed, score the former and report on the best.
 
     Args:
         plan: the processes of one member, in the run directory.
@@ -194,17 +194,26 @@ def _train_population(
         team: the layout of the team.
         console: shows the run.
         asked: the command line, for the report.
+
+    Raises:
+        EiaSecError: members have failed; a UsageError where that are all, for the same mistake.
     """
     root, config = plan.directory, options.settings
-    PopulationTraining(Members(root, plan, team), console).run()
-    if not all(directory.finished() for directory in member_directories(root.path, config)):
+    members = Members(root, plan, team)
+    PopulationTraining(members, console).run()
+    failed = {member.name for member in members.training if member.failure is not None}
+    directories = member_directories(root.path, config)
+    unfinished = {directory.path.name for directory in directories if not directory.finished()}
+    if unfinished - failed:
         console.print(f"stopped; resume with: {resume_command(options, root.path)}", highlight=False, soft_wrap=True)
-        return
-    best = best_member(root, config, team, console)
-    if options.report:
-        from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
+    elif len(unfinished) < len(directories):
+        best = best_member(root, config, team, console)
+        if options.report:
+            from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
-        write_report(best, best.configuration(), asked, console)
+            write_report(best, best.configuration(), asked, console)
+    if (failure := members.failure()) is not None:
+        raise failure
 
 
 def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
@@ -241,6 +250,8 @@ def _require_population(options: TrainArguments) -> None:
     }
     if named := [name for name, given in alone.items() if given]:
         raise UsageError(f"{named[0]} is for a run alone; leave it or --population out.")
+    if options.settings.population.seed not in (0, options.settings.seed):
+        raise ConfigError("population.seed is the run's own seed in eia-sec train; leave it out, and set --seed.")
     if options.settings.env.served:
         raise ConfigError(f"a population cannot share {options.settings.env.name}, which others serve.")
 
