@@ -17,7 +17,7 @@ from eia_sec.learner.intake import receiver
 from eia_sec.learner.intake.feed import ExperienceFeed
 from eia_sec.learner.intake.iteration_room import IterationRoom
 from eia_sec.learner.intake.ledger import Ledger
-from eia_sec.learner.process import epoch
+from eia_sec.learner.process import service
 from eia_sec.learner.process.lease import Lease
 from eia_sec.learner.process.service import Learner
 from eia_sec.learner.trainer import Trainer
@@ -71,13 +71,13 @@ def _applied_again() -> AbstractContextManager[Any]:
 
 
 def _announced_first() -> AbstractContextManager[Any]:
-    deliver = Coordinator._deliver
+    deliver = Coordinator.deliver
 
-    def announce(self: Coordinator, message: Any, stop: Any) -> Any:
-        self._announcer.put(message.encode())
-        return (yield from deliver(self, message, stop))
+    def announce(self: Coordinator, family: Any, payload: bytes, what: str, stop: Any) -> Any:
+        self._announcer.put(payload)
+        return (yield from deliver(self, family, payload, what, stop))
 
-    return mock.patch.object(Coordinator, "_deliver", announce)
+    return mock.patch.object(Coordinator, "deliver", announce)
 
 
 def _emptied(self: ExperienceFeed) -> None:
@@ -127,7 +127,7 @@ def _forgetful() -> Iterator[None]:
 
     with (
         mock.patch.object(incarnation, "new_incarnation", clock_alone),
-        mock.patch.object(epoch, "new_incarnation", clock_alone),
+        mock.patch.object(service, "new_incarnation", clock_alone),
     ):
         yield
 

@@ -27,7 +27,7 @@ def run(arguments):
 
 @pytest.fixture
 def run_dir(tmp_path):
-    config = PRESETS["instant"]
+    config = PRESETS["inertial"]
     for line in SMALL:
         config = from_toml(line, config)
     folder = tmp_path / "my-run"
