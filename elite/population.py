@@ -6,15 +6,16 @@ meanwhile. One that is away while a round is held is left out of it.
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 
 from eia_sec.common.clock import monotonic
-from eia_sec.common.config.files import read_saved
+from eia_sec.common.config.files import differences, method_of, read_saved
 from eia_sec.common.config.run import RunConfig
-from eia_sec.common.errors import CancelledError, EndpointError, ProtocolError
+from eia_sec.common.errors import CancelledError, EndpointError, ProtocolError, UsageError
 from eia_sec.common.imitation import LEASE_SECONDS
 from eia_sec.common.log import log
 from eia_sec.common.loops import Loop, Running, run
@@ -30,7 +31,7 @@ from eia_sec.elite.rounds import Ranking, perturbed, ranked, weak_members
 from eia_sec.elite.service import IDLE_SECONDS, Coordinator, CoordinatorOptions
 
 JOIN_SECONDS = 1.0
-"""Pause between two attempts to reach a member."""
+"""Pause after the first attempt to reach a member; each further one doubles it, up to PATIENCE_SECONDS."""
 AWAY_SECONDS = 3.0 * LEASE_SECONDS
 """Time for which a member may be out of reach before a round begins without it, or begins again."""
 PATIENCE_SECONDS = 5.0
@@ -117,33 +118,79 @@ class Population:
         self._members: dict[str, Member] = {}
         self._expected = {one.run for one in options}
         self._held = 0
+        self._reached = False
+        self._unfit: list[UsageError | ProtocolError] = []
         # Until the end: a member may finish while it is told of a round.
         self._sessions = ExitStack()
+        self._dials = ThreadPoolExecutor(len(options), "dial")
 
     def run(self, stop: StopSignal) -> Loop[None]:
-        """Return the loop that coordinates until a stop signal comes or all members are finished."""
-        with self._sessions:
+        """Return the loop that coordinates until a stop signal comes or all members are finished.
+
+        Raises:
+            EndpointError: none of the members was reached in time.
+            UsageError: none of the members can be coordinated, because of a mistake of the user.
+            ProtocolError: none of them can, because of what it answers.
+        """
+        begun, patience = monotonic(), max(one.patience for one in self._options)
+        with self._sessions, self._dials:
             members = [Running(self._joined(options, stop)) for options in self._options]
             rounds = Running(self._rounds(stop))
             while members:
                 members = [one for one in members if not one.step()]
                 rounds.step()
+                if not (self._reached or self._unfit or stop) and monotonic() - begun > patience:
+                    where = ", ".join(f"{one.run} at {one.endpoint}" for one in self._options)
+                    raise EndpointError(f"no member has answered in {patience:g} s: {where}.")
                 yield IDLE_SECONDS
+        if len(self._unfit) == len(self._options):
+            raise self._unfit[-1]
 
     def _joined(self, options: CoordinatorOptions, stop: StopSignal) -> Loop[None]:
-        """Reach a member, and be its elite coordinator until its run is finished."""
+        """Reach a member, and be its elite coordinator until its run is finished; leave one out that cannot be."""
+        try:
+            bus = yield from self._dialled(options, stop)
+            if bus is not None:
+                yield from self._coordinated(options, bus, stop)
+        except (UsageError, ProtocolError) as error:
+            log(f"population: {options.run} is left out: {error}")
+            self._unfit.append(error)
+        self._expected.discard(options.run)
+        if self._members.pop(options.run, None) is not None:
+            log(f"population: {options.run} left.")
+
+    def _dialled(self, options: CoordinatorOptions, stop: StopSignal) -> Loop[Bus | None]:
+        """Return a session with a member; None if a stop signal comes first.
+
+        Threads dial: an attempt takes a second, and the leads over other members have to be renewed meanwhile.
+        """
+        said, pause = monotonic(), JOIN_SECONDS
         while not stop:
+            attempt = self._dials.submit(self._connected, options, stop)
+            while not attempt.done():
+                yield IDLE_SECONDS
             try:
-                bus = Bus.connect(options.endpoint, "control", waiting=lambda: not stop)
+                bus = attempt.result()
             except CancelledError:
-                return
+                return None
             except EndpointError as error:
                 if type(error) is not EndpointError:
                     raise
-                yield from _pause(JOIN_SECONDS)
-                continue
-            yield from self._coordinated(options, self._sessions.enter_context(bus), stop)
-            return
+                if monotonic() - said >= PATIENCE_SECONDS:
+                    said = monotonic()
+                    log(f"population: waiting for {options.run} at {options.endpoint}: {error}")
+            else:
+                self._reached = True
+                return bus
+            end = monotonic() + pause
+            pause = min(2.0 * pause, PATIENCE_SECONDS)
+            while monotonic() < end and not stop:
+                yield IDLE_SECONDS
+        return None
+
+    def _connected(self, options: CoordinatorOptions, stop: StopSignal) -> Bus:
+        """Return a session that stays open until the end."""
+        return self._sessions.enter_context(Bus.connect(options.endpoint, "control", waiting=lambda: not stop))
 
     def _coordinated(self, options: CoordinatorOptions, bus: Bus, stop: StopSignal) -> Loop[None]:
         answer = yield from fetch_configuration(bus, options.run, options.name, lambda: not stop, PATIENCE_SECONDS)
@@ -157,18 +204,20 @@ class Population:
         else:
             self._expected.discard(options.run)
         yield from coordinator.run(stop)
-        self._expected.discard(options.run)
-        if self._members.pop(options.run, None) is not None:
-            log(f"population: {options.run} left.")
 
     def _belongs(self, name: str, config: RunConfig, team: TeamSpec) -> bool:
         """Return whether a run can take part beside those that do; log why not."""
         reason = "" if config.population.members else "its configuration says that it is a run alone"
-        for other in self._members.values():
+        other = next(iter(self._members.values()), None)
+        if other is not None and not reason:
+            own = {"seed", *(f"algorithm.{option}" for option in config.population.hyperparameters)}
+            lines = differences(method_of(other.config), method_of(config))
+            found = [line for line in lines if line.partition(":")[0] not in own]
+            more = f" and {len(found) - 3} more" if len(found) > 3 else ""
             if team != other.team:
                 reason = f"its team is not that of {other.name}"
-            elif config.population != other.config.population:
-                reason = f"its section [population] is not that of {other.name}"
+            elif found:
+                reason = f"it differs from {other.name} in {'; '.join(found[:3])}{more}"
         if reason:
             log(f"population: {name} takes no part, because {reason}.")
         return not reason
@@ -299,18 +348,13 @@ def _sentence(member: Member, event: Exploit) -> str:
     return f"population: round {event.round}: {member.name} scores {score:.4g} and {said}{values}."
 
 
-def _pause(seconds: float) -> Loop[None]:
-    """Wait; the coordinator's own loop takes its steps every IDLE_SECONDS."""
-    for _ in range(max(1, round(seconds / IDLE_SECONDS))):
-        yield IDLE_SECONDS
-
-
 def serve(options: Sequence[CoordinatorOptions]) -> None:
     """Run the coordinator of a population until all members are finished or a signal comes.
 
     Raises:
-        UsageError: when a member's configuration cannot be read.
-        ProtocolError: when its answer is malformed.
+        EndpointError: when no member is reached in time.
+        UsageError: when no member's configuration can be read.
+        ProtocolError: when the answers of all are malformed.
     """
     stop = StopSignal()
     stop.install()

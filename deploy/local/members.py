@@ -17,7 +17,7 @@ from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.local.code_options import plugin_options
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory
 from eia_sec.deploy.local.supervisor import Supervisor
-from eia_sec.deploy.local.training_processes import COORDINATOR, ProcessPlan, TrainingProcesses
+from eia_sec.deploy.local.training_processes import COORDINATOR, JOIN_SECONDS, ProcessPlan, TrainingProcesses
 from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.elite.rounds import drawn
 
@@ -132,7 +132,8 @@ class Members:
             member.processes.start()
         where = [f"{member.name}={member.plan.endpoint}" for member in self.training]
         tls = [] if self._plan.tls is None else ["--tls", str(self._plan.tls / COORDINATOR)]
-        self.supervisor.start(ELITE, [ELITE, *plugin_options(self._plan.config), "--members", *where, *tls])
+        patience = ["--patience", str(JOIN_SECONDS)]
+        self.supervisor.start(ELITE, [ELITE, *plugin_options(self._plan.config), "--members", *where, *patience, *tls])
 
     def connect(self, stopped: Callable[[], bool]) -> None:
         """Reach the members' learners, and give up those that fail.

@@ -173,7 +173,8 @@ def _type(wanted: Any) -> str:
     if get_origin(wanted) is Literal:
         return " or ".join(f"`{choice}`" if choice != "" else "empty" for choice in get_args(wanted))
     if get_origin(wanted) is Mapping:
-        return f"table of {_type(get_args(wanted)[1])}s"
+        entry = _type(get_args(wanted)[1])
+        return f"table of {entry.replace('list', 'lists', 1) if entry.startswith('list') else f'{entry}s'}"
     if get_origin(wanted) is tuple:
         return _LISTS.get(wanted, f"list of {_type(get_args(wanted)[0])}s")
     if wanted is PluginNames:

@@ -1,6 +1,8 @@
 """The coordinator of a population: it holds rounds over several runs, and goes on where the one before it stopped."""
 
-from contextlib import ExitStack
+import re
+import time
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +10,8 @@ import pytest
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import from_toml, to_toml, with_values
-from eia_sec.common.loops import Running
+from eia_sec.common.errors import EndpointError, UsageError
+from eia_sec.common.loops import Running, run
 from eia_sec.common.process import StopSignal
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import (
@@ -23,6 +26,7 @@ from eia_sec.common.protocol.messages import (
 from eia_sec.common.team import GroupSpec, TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.elite import population
 from eia_sec.elite.evaluation_plan import population_plan
 from eia_sec.elite.population import Population
 from eia_sec.elite.service import CoordinatorOptions
@@ -50,6 +54,7 @@ class FakeMember:
         self.config = with_values(config, {"seed": number, "algorithm.actor_rate": 1e-3 * (1 + number)})
         self.rate, self.round, self.episodes, self.state = 1e-3 * (1 + number), 0, 0, "training"
         self.orders, self.told, self.refuses = [], [], 0
+        self.toml = to_toml(self.config)
         self.flat = tuple(np.full((1, 5), number, np.float32) for _ in TEAM.groups)
         self.bus = held.enter_context(Bus.listen(self.endpoint, "control"))
         self._commands = self.bus.serve(keys.COMMAND.pattern(self.name), 16)
@@ -64,7 +69,7 @@ class FakeMember:
         """Answer what has come, and tell the progress."""
         for command in self._commands.waiting():
             if command.key.endswith("/configuration"):
-                command.reply(ConfigurationMessage(4, to_toml(self.config), TEAM.to_dict(), lockstep=False).encode())
+                command.reply(ConfigurationMessage(4, self.toml, TEAM.to_dict(), lockstep=False).encode())
             else:
                 command.reply(ReceiptMessage(True, "").encode())
         for incoming in self._evaluations.waiting():
@@ -214,21 +219,92 @@ def test_a_member_that_has_left_is_not_waited_for(trial):
     assert [event.round for event in first.told] == [2]
 
 
-def test_a_run_that_is_no_member_takes_no_part(capsys):
-    """Nor one of another population; the log says why."""
+@contextmanager
+def three(change):
+    """Yield a trial of three members, all due for a round, after a change to the last one."""
     with ExitStack() as held:
-        other = with_values(CONFIG, {"population.farms": 3})
-        members = [
-            FakeMember(0, (1, 1, 1), held),
-            FakeMember(1, (2, 2, 2), held),
-            FakeMember(2, (0, 0, 0), held, other),
-        ]
+        members = [FakeMember(number, (number, 1, 1), held) for number in range(3)]
+        change(members[2])
+        for member in members:
+            member.episodes = 10
         trial = Trial(members)
         try:
-            for member in members:
-                member.episodes = 10
-            trial.held(1, *members[:2])
-            trial.until(lambda: "member-2 takes no part" in capsys.readouterr().err or members[2].told, "the log")
-            assert members[2].told == []
+            yield trial
         finally:
             trial.end()
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"population.farms": 3}, "it differs from member-0 in population.farms: 2 -> 3."),
+        ({"episodes": 200}, "it differs from member-0 in episodes: 100 -> 200."),
+        ({"farm.world.sensors": 31, "algorithm.hidden": 7}, "algorithm.hidden: "),
+        ({"population.members": 0, "population.hyperparameters": {}}, "its configuration says that it is a run alone."),
+    ],
+)
+def test_a_run_that_is_no_member_takes_no_part(values, said, capsys):
+    """One that learns something else, or otherwise: scores would not compare methods. The log says why."""
+
+    def other(member):
+        plain = CONFIG if values.get("population.members") != 0 else RunConfig()
+        member.toml = to_toml(with_values(plain, {key: value for key, value in values.items() if value != {}}))
+
+    with three(other) as trial:
+        trial.held(1, *trial.members[:2])
+        assert trial.members[2].told == []
+        (line,) = (line for line in capsys.readouterr().err.splitlines() if "member-2 takes no part" in line)
+        assert said in line
+
+
+def test_a_member_that_cannot_be_read_is_left_out(capsys):
+    """The others go on without it; once nobody is left, the coordinator fails as for a run alone."""
+
+    def unreadable(member):
+        member.toml = "this = is no configuration"
+
+    with three(unreadable) as trial:
+        trial.held(1, *trial.members[:2])
+        assert "population: member-2 is left out: " in capsys.readouterr().err
+    with ExitStack() as held:
+        trial = Trial([FakeMember(number, (1, 1, 1), held) for number in range(2)])
+        for member in trial.members:
+            unreadable(member)
+        with pytest.raises(UsageError):
+            trial.until(lambda: False, "nothing")
+
+
+def test_a_member_that_is_out_of_reach_does_not_hold_up_the_others(monkeypatch, capsys):
+    """Threads dial: the leads over those that are there do not expire, and the log says for whom it waits."""
+    monkeypatch.setattr(population, "PATIENCE_SECONDS", 2.0)
+    monkeypatch.setattr(population, "AWAY_SECONDS", 0.0)
+    away = free_endpoint()
+    with ExitStack() as held:
+        member = FakeMember(0, (1, 1, 1), held)
+        options = [CoordinatorOptions("member-0", member.endpoint), CoordinatorOptions("gone", away)]
+        stop, longest = StopSignal(), 0.0
+        loop = Running(Population(options).run(stop))
+        said = ""
+
+        def turn():
+            nonlocal longest, said
+            member.turn()
+            begun = time.monotonic()
+            assert not loop.step()
+            longest = max(longest, time.monotonic() - begun)
+            said += capsys.readouterr().err
+            return f"waiting for gone at {away}" in said
+
+        until(turn, "the log", 60.0)
+        stop.event.set()
+        while not loop.step():
+            pass
+        assert longest < 0.9
+
+
+def test_a_coordinator_that_reaches_nobody_gives_up():
+    """After its patience, in one sentence that names where it looked."""
+    where = free_endpoint()
+    loop = Population([CoordinatorOptions("member-0", where, patience=1.0)]).run(StopSignal())
+    with pytest.raises(EndpointError, match=rf"^no member has answered in 1 s: member-0 at {re.escape(str(where))}\.$"):
+        run(loop)

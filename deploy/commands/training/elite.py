@@ -1,6 +1,6 @@
 """`eia-sec elite`: the elite coordinator."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +28,7 @@ class EliteArguments:
     tls: Path | None = None
     """Folder with the coordinator's certificate (`eia-sec keys issue elite NAME`); turns TLS on."""
     patience: float = 60.0
-    """Seconds to wait for a listener at the endpoint."""
+    """Seconds to wait for a listener at the endpoint, of a population's for the first one."""
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -37,11 +37,26 @@ def command(arguments: Sequence[str]) -> int:
     within(0.0, 1e9, patience=options.patience)
     check_name(options.run, "run")
     check_name(options.name, "name")
-    if options.members:
-        population.serve([_member(options, text) for text in options.members])
+    named = {word.partition("=")[0] for word in arguments if word.startswith("--")}
+    if "--members" in named:
+        population.serve(_members(options, named))
     else:
         serve(CoordinatorOptions(options.run, _endpoint(options, options.connect), options.name, options.patience))
     return 0
+
+
+def _members(options: EliteArguments, named: Collection[str]) -> list[CoordinatorOptions]:
+    """Return how to reach the members of a population; raise UsageError for what a command line cannot mean."""
+    for other in ("--run", "--connect"):
+        if other in named:
+            raise UsageError(f"--members names runs and where they listen; leave {other} out.")
+    if not options.members:
+        raise UsageError("--members needs the members, each as RUN=ENDPOINT.")
+    members = [_member(options, text) for text in options.members]
+    names = [member.run for member in members]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"--members names {twice[0]} more than once.")
+    return members
 
 
 def _member(options: EliteArguments, text: str) -> CoordinatorOptions:
