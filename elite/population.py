@@ -116,6 +116,7 @@ class Population:
     def __init__(self, options: Sequence[CoordinatorOptions]) -> None:
         self._options = options
         self._members: dict[str, Member] = {}
+        self._compared: dict[tuple[Member, Member], bool] = {}
         self._expected = {one.run for one in options}
         self._held = 0
         self._reached = False
@@ -198,52 +199,63 @@ class Population:
             return
         config, team = read_saved(answer.toml), TeamSpec.from_dict(answer.team)
         coordinator = Coordinator(options, config, team, bus)
-        if self._belongs(options.run, config, team):
+        if config.population.members:
             self._members[options.run] = Member(options.run, coordinator, config, team, bus)
             log(f"population: {options.run} joined.")
         else:
-            self._expected.discard(options.run)
+            self._exclude(options.run, "its configuration says that it is a run alone")
         yield from coordinator.run(stop)
 
-    def _belongs(self, name: str, config: RunConfig, team: TeamSpec) -> bool:
-        """Return whether a run can take part beside those that do; log why not."""
-        reason = "" if config.population.members else "its configuration says that it is a run alone"
-        other = next(iter(self._members.values()), None)
-        if other is not None and not reason:
-            own = {"seed", *(f"algorithm.{option}" for option in config.population.hyperparameters)}
-            lines = differences(method_of(other.config), method_of(config))
-            found = [line for line in lines if line.partition(":")[0] not in own]
-            more = f" and {len(found) - 3} more" if len(found) > 3 else ""
-            if team != other.team:
-                reason = f"its team is not that of {other.name}"
-            elif found:
-                reason = f"it differs from {other.name} in {'; '.join(found[:3])}{more}"
-        if reason:
-            log(f"population: {name} takes no part, because {reason}.")
-        return not reason
+    def _exclude(self, name: str, reason: str) -> None:
+        self._expected.discard(name)
+        log(f"population: {name} takes no part, because {reason}.")
+
+    def _belongs(self, member: Member, first: Member) -> bool:
+        """Return whether a member learns the same as the first of those that are there; log once why not."""
+        pair = (member, first)
+        if pair not in self._compared:
+            reason = _other_method(member, first)
+            if reason:
+                self._exclude(member.name, reason)
+            self._compared[pair] = not reason
+        return self._compared[pair]
 
     def _rounds(self, stop: StopSignal) -> Loop[None]:
         """Hold each round when it is due, without end."""
-        begun = monotonic()
+        begun, alone = monotonic(), 0
         while True:
             yield IDLE_SECONDS
-            present = self._present()
-            missing = self._expected.difference(member.name for member, _ in present)
-            if len(present) < 2 or (missing and monotonic() - begun < AWAY_SECONDS):
+            gathering = monotonic() - begun < AWAY_SECONDS
+            if gathering and self._expected.difference(self._members):
                 continue
-            number = min(
-                round_due(member.config, member.config.progress(now.episodes, now.environment_steps))
-                for member, now in present
-            )
+            present = self._present()
+            if gathering and self._expected.difference(member.name for member, _ in present):
+                continue
+            if len(present) < 2:
+                alone = self._tell_alone(present, alone)
+                continue
+            number = min(_due(member, now) for member, now in present)
             told = sorted((now.round or 0 for _, now in present), reverse=True)
             # Weak members are told before all others: a round that fewer know than those is not over.
             held = max(self._held, told[weak_members(len(present)) - 1])
             if number > held:
                 yield from self._hold(number, present, stop)
 
+    def _tell_alone(self, present: Sequence[tuple[Member, ProgressMessage]], told: int) -> int:
+        """Log once that a round is due for a member that is alone; return the newest round of which this was said."""
+        for member, now in present:
+            if (number := _due(member, now)) > max(told, self._held, now.round or 0):
+                log(f"population: round {number} is due for {member.name}, and no other member is there.")
+                return number
+        return told
+
     def _present(self) -> list[tuple[Member, ProgressMessage]]:
-        """Return the members that can take part in a round, by name, with their progress."""
-        members = [self._members[name] for name in sorted(self._members)]
+        """Return the members that can take part in a round, in the order in which they were named, with their progress.
+
+        Those of another method than the first one that is there do not.
+        """
+        members = [self._members[one.run] for one in self._options if one.run in self._members]
+        members = [member for member in members if self._belongs(member, members[0])]
         return [(member, now) for member in members if (now := member.progress) is not None]
 
     def _hold(self, number: int, present: Sequence[tuple[Member, ProgressMessage]], stop: StopSignal) -> Loop[None]:
@@ -313,6 +325,22 @@ class Population:
                     else:
                         missed.append(member.name)
         return missed
+
+
+def _other_method(member: Member, first: Member) -> str:
+    """Return in what a member differs from another one beyond seed and hyperparameters; empty if in nothing."""
+    if member.team != first.team:
+        return f"its team is not that of {first.name}"
+    own = {"seed", *(f"algorithm.{option}" for option in first.config.population.hyperparameters)}
+    lines = differences(method_of(first.config), method_of(member.config))
+    found = [line for line in lines if line.partition(":")[0] not in own]
+    more = f" and {len(found) - 3} more" if len(found) > 3 else ""
+    return f"it differs from {first.name} in {'; '.join(found[:3])}{more}" if found else ""
+
+
+def _due(member: Member, now: ProgressMessage) -> int:
+    """Return the newest round that is due for a member."""
+    return round_due(member.config, member.config.progress(now.episodes, now.environment_steps))
 
 
 def _outcome(number: int, ranking: Ranking, result: _Result, results: Mapping[str, _Result]) -> Exploit:

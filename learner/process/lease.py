@@ -29,3 +29,7 @@ class Lease:
     def holds(self, name: str, incarnation: int) -> bool:
         """Return whether this coordinator was the last one to get the lease."""
         return self.holder == (name, incarnation)
+
+    def current(self, now: float) -> bool:
+        """Return whether its holder has claimed it in the last LEASE_SECONDS."""
+        return self.holder is not None and now < self._until

@@ -1,8 +1,9 @@
 """Applies what the coordinator of a population sends after each round."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
+from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import ProtocolError, SchemaError
 from eia_sec.common.population import Exploit, hyperparameters_of, round_due
 from eia_sec.common.protocol.messages import Envelope, ExploitMessage, ReceiptMessage
@@ -10,6 +11,9 @@ from eia_sec.common.transport.bus import Incoming, Server
 from eia_sec.learner.process.imitation_server import LONGEST_REASON
 from eia_sec.learner.process.lease import Lease
 from eia_sec.learner.trainer import Trainer
+
+ALARM_SECONDS: Final = 10.0
+"""Time for which a round may be due while nobody leads before that raises an alarm."""
 
 
 class PopulationServer:
@@ -37,6 +41,7 @@ class PopulationServer:
         self._server, self._trainer, self._lease, self._epoch = server, trainer, lease, epoch
         self._on_applied = on_applied
         self.refused, self._reason = 0, ""
+        self._unled: float | None = None
 
     def answer(self) -> None:
         """Answer every waiting request."""
@@ -74,7 +79,30 @@ class PopulationServer:
         return {"round": trainer.round, "hyperparameters": values, "rounds_refused": self.refused}
 
     def alarms(self) -> list[str]:
-        """Return a sentence if requests were refused."""
-        if not self.refused:
-            return []
-        return [f"{self.refused} rounds of the population were refused; the last one: {self._reason}"]
+        """Return a sentence if requests were refused, and one if a round is due and nobody is there to hold it."""
+        found = [self._overdue()]
+        if self.refused:
+            found.append(f"{self.refused} rounds of the population were refused; the last one: {self._reason}")
+        return [text for text in found if text]
+
+    def _overdue(self) -> str:
+        """Return a sentence about a round that is due without a coordinator; one may wait for slower members."""
+        trainer, now = self._trainer, monotonic()
+        if round_due(trainer.config, trainer.progress) <= trainer.round or self._lease.current(now):
+            self._unled = None
+            return ""
+        self._unled = now if self._unled is None else self._unled
+        if now - self._unled < ALARM_SECONDS:
+            return ""
+        number, interval = trainer.round + 1, trainer.config.population.interval
+        return (
+            f"round {number} of the population has been due since {number * interval:.1%} of the run, and no "
+            "coordinator leads; is one running?"
+        )
+
+    def ending(self) -> str:
+        """Return the end of a sentence with the newest of all rounds that the learner took part in; "" alone."""
+        config = self._trainer.config
+        if not config.population.members:
+            return ""
+        return f"; the newest round of the population was {self._trainer.round} of {round_due(config, 1.0)}"

@@ -346,7 +346,8 @@ class Learner:
         self._tell(state)
         self._report()
         self._reporter.log_end(state)
-        log(f"{state}: {self.trainer.episodes} episodes, {self.trainer.environment_steps} steps.")
+        counts = f"{self.trainer.episodes} episodes, {self.trainer.environment_steps} steps"
+        log(f"{state}: {counts}{self._population.ending()}.")
         until = monotonic() + FAREWELL_SECONDS
         while (left := until - monotonic()) > 0:
             yield left

@@ -204,7 +204,7 @@ def test_a_round_is_held_until_all_weak_ones_know_it():
             trial.end()
 
 
-def test_a_member_that_has_left_is_not_waited_for(trial):
+def test_a_member_that_has_left_is_not_waited_for(trial, capsys):
     """The others hold their rounds without it; alone, a member holds none."""
     first, second, third = trial.members
     third.state = "finished"
@@ -217,6 +217,7 @@ def test_a_member_that_has_left_is_not_waited_for(trial):
     seen = []
     trial.until(lambda: seen.append(1) or len(seen) > 60, "turns")
     assert [event.round for event in first.told] == [2]
+    assert capsys.readouterr().err.count("round 4 is due for member-0, and no other member is there.") == 1
 
 
 @contextmanager

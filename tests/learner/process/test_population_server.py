@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import pytest
 
 from eia_sec.common.protocol.messages import Envelope, ExploitMessage, ReceiptMessage
+from eia_sec.learner.process import population_server
 from eia_sec.learner.process.lease import Lease
 from eia_sec.learner.process.population_server import PopulationServer
-from tests.learner.test_exploit import configured, imitating, learn, trainer_of
+from tests.learner.test_exploit import configured, imitating, kept, learn, trainer_of
 
 
 def receipt(event, trainer, epoch=5, name="coordinator"):
@@ -68,9 +69,32 @@ def test_other_rounds_are_refused_counted_and_shown(started, number, options, sa
     assert server.alarms() == [f"1 rounds of the population were refused; the last one: {answer.reason}"]
 
 
+def test_rounds_that_nobody_holds_raise_an_alarm(monkeypatch):
+    """Once a round is due for a while without a coordinator; one that leads may wait for slower members."""
+    trainer, lease, clock = trainer_of(replace(configured("ippo"), episodes=10)), Lease(), [100.0]
+    monkeypatch.setattr(population_server, "monotonic", lambda: clock[0])
+    server = PopulationServer(SimpleNamespace(waiting=list), trainer, lease, 5, lambda *what: None)
+
+    def alarms(seconds):
+        clock[0] += seconds
+        return server.alarms()
+
+    assert (alarms(0.0), alarms(60.0)) == ([], [])
+    learn(trainer, range(2))
+    assert alarms(0.0) == alarms(9.9) == []
+    (said,) = alarms(0.2)
+    assert said.startswith("round 1 of the population has been due since 10.0% of the run, and no coordinator leads")
+    lease.claim("coordinator", 1, clock[0])
+    assert alarms(2.9) == alarms(0.2) == alarms(9.9) == []  # the lead is lost once more
+    assert alarms(0.2) == [said]
+    trainer.exploit(kept(trainer, 2))
+    assert alarms(60.0) == []
+    assert server.ending() == "; the newest round of the population was 2 of 9"
+
+
 def test_a_run_alone_takes_part_in_no_round():
     """It reports no round either."""
     trainer = trainer_of(configured("ippo"))
     alone = trainer_of(replace(trainer.config, population=type(trainer.config.population)()))
     answer, server, applied = receipt(imitating(trainer, trainer.actors().flat), alone)
-    assert (answer.done, applied, server.metrics()) == (False, [], {})
+    assert (answer.done, applied, server.metrics(), server.ending()) == (False, [], {}, "")
