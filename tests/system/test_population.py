@@ -128,7 +128,7 @@ def test_a_population_survives_a_kill_of_each_role(tmp_path):
 
         def later() -> dict[str, Any] | None:
             events = population.records("member-1", "exploit")
-            return events[-1] if events[-1]["round"] > taken else None
+            return events[-1] if events and events[-1]["round"] > taken else None
 
         event = until(later, "a round with both", 300.0)
         assert set(event["scores"]) == set(MEMBERS)
