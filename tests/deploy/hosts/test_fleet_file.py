@@ -107,7 +107,7 @@ def test_training_is_resolved(tmp_path):
     fleet = read(
         written(tmp_path, SMALL + '[training]\npreset = "quick"\nconfig = "mine.toml"\nset = ["episodes = 5"]\n')
     )
-    assert (fleet.config.episodes, fleet.config.seed, fleet.config.algorithm.hidden) == (5, 3, 64)
+    assert (fleet.config.episodes, fleet.config.seed, fleet.config.algorithm.hidden) == (5, 3, 128)
 
 
 @pytest.mark.parametrize(
