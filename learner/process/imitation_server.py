@@ -2,32 +2,30 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 
-from eia_sec.common.errors import ProtocolError, SchemaError
+from eia_sec.common.errors import SchemaError
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
-from eia_sec.common.protocol.messages import Envelope, ImitationMessage, ReceiptMessage
-from eia_sec.common.transport.bus import Incoming, Server
+from eia_sec.common.protocol.messages import ImitationMessage
+from eia_sec.common.transport.bus import Server
+from eia_sec.learner.process.event_server import EventServer
 from eia_sec.learner.process.lease import Lease
 from eia_sec.learner.trainer import Trainer
 
-LONGEST_REASON = 400
-"""Most characters of a refusal."""
 
-
-class ImitationServer:
-    """Answers requests to apply an imitation event.
+class ImitationServer(EventServer[ImitationMessage]):
+    """Answers requests to apply an imitation event; see `EventServer`.
 
     Args:
         server: where they come in.
         trainer: the trainer whose actors imitate.
         schedule: when events are due, by the learner's own configuration.
-        lease: which coordinator leads; events from others are refused.
-        epoch: the learner's fencing epoch; events for another epoch are refused.
+        lease: which coordinator leads.
+        epoch: the learner's fencing epoch.
         on_applied: called with each event that changed the actors, before it is acknowledged.
-
-    Attributes:
-        refused: requests that were not applied and never will be.
     """
+
+    what, requests, message = "event", "requests to imitate", ImitationMessage
 
     def __init__(
         self,
@@ -38,33 +36,12 @@ class ImitationServer:
         epoch: int,
         on_applied: Callable[[ImitationEvent], None],
     ) -> None:
-        self._server, self._trainer, self._lease, self._epoch = server, trainer, lease, epoch
+        super().__init__(server, trainer, lease, epoch)
         self._schedule, self._on_applied = schedule, on_applied
-        self.refused, self._reason = 0, ""
 
-    def answer(self) -> None:
-        """Answer every waiting request."""
-        for incoming in self._server.waiting():
-            try:
-                event = self._checked(incoming)
-                applied = self._trainer.imitate(event)
-            except ProtocolError as error:
-                self.refused, self._reason = self.refused + 1, str(error)[:LONGEST_REASON]
-                incoming.reply(ReceiptMessage(False, self._reason).encode())
-                continue
-            if applied:
-                self._on_applied(event)
-            incoming.reply(ReceiptMessage(True, "" if applied else "applied before").encode())
-
-    def _checked(self, incoming: Incoming) -> ImitationEvent:
-        message = ImitationMessage.decode(incoming.payload)
-        if message.epoch != self._epoch:
-            raise ProtocolError("the event is for another start of the learner.")
-        sender = Envelope.decode(incoming.attachment)
-        if not self._lease.holds(sender.name, sender.incarnation):
-            raise ProtocolError("another coordinator leads.")
+    def _apply(self, message: ImitationMessage) -> Callable[[], None] | None:
         self._require_due(event := message.to_event())
-        return event
+        return partial(self._on_applied, event) if self._trainer.imitate(event) else None
 
     def _require_due(self, event: ImitationEvent) -> None:
         """Raise SchemaError for an event that the configuration does not have, or not yet."""
@@ -89,9 +66,3 @@ class ImitationServer:
     def metrics(self) -> dict[str, int]:
         """Return the metrics to report."""
         return {"imitations_refused": self.refused}
-
-    def alarms(self) -> list[str]:
-        """Return a sentence if requests were refused."""
-        if not self.refused:
-            return []
-        return [f"{self.refused} requests to imitate were refused; the last one: {self._reason}"]
