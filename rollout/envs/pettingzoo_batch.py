@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.config.environment import MOST_EPISODE_STEPS
-from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import (
     ConfigError,
     ContractError,
@@ -25,9 +24,8 @@ from eia_sec.common.protocol.view_checks import MOST_SENTENCE
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32, described
 from eia_sec.common.text import printable
-from eia_sec.common.transitions import EpisodeSummary, observation_type
 from eia_sec.rollout.envs.base import Patience
-from eia_sec.rollout.envs.episode_infos import EpisodeInfos
+from eia_sec.rollout.envs.batch_rows import BatchRows
 from eia_sec.rollout.envs.guard import Guard, for_watchers
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions
 from eia_sec.rollout.envs.pettingzoo_observations import RowObservations
@@ -39,7 +37,7 @@ FAULTS: Final = (ConfigError, ContractError, EnvironmentFaultError)
 """What is raised when an environment's code does something wrong."""
 
 
-class PettingZooBatch:
+class PettingZooBatch(BatchRows):
     """A batch of environments that are stepped one after the other.
 
     An agent that leaves early is in an absorbing state: it observes zeros and earns nothing, and the critics learn that
@@ -54,21 +52,10 @@ class PettingZooBatch:
         make: makes each environment; by default what the name says.
 
     Attributes:
-        team: layout of a row, type by type.
-        spec: what generic code needs to know; there are no episode metrics but `infos`.
         names: the agents in row order.
         observation: [E, O] float32, or bytes where all agents see images, flattened as `gymnasium.spaces.flatten` does,
             each agent's action mask at the end.
-        reward: [E, agents] float32 of the last step.
-        action: [E, A] float32 of the last step, as the environments got them.
-        potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
-        hindsight: None, for the same reason.
-        time: [E] steps done in this episode; -1 before the first reset.
-        terminated: [E] whether all remaining agents terminated in the last step.
-        ended: [E] whether the episode is over.
-        infos: the numbers in what `step` tells agents besides.
         silence: why an environment that was asked for pictures gives none, a sentence, or empty.
-        note_drawing: called with True before code that draws runs, and with False once none does any more.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -87,7 +74,6 @@ class PettingZooBatch:
     ) -> None:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
-        self._limit = config.steps or MOST_EPISODE_STEPS
         self._config = config
         self._made = [config.arguments] * environments
         self._patience, self._away = patience, [False] * environments
@@ -98,27 +84,14 @@ class PettingZooBatch:
             self._environments += (self._made_anew(k) for k in range(environments))
             agents = self._until_back(0, partial(describe, self._environments[0], config.types))
             made.pop_all()
-        self.names, self.team = tuple(agents.views), agents.team
-        self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
+        super().__init__(config.name, agents.team, environments, config.steps or MOST_EPISODE_STEPS)
+        self.names, self.observation = tuple(agents.views), self._unseen()
         self._agents, self._rows = agents, [RowObservations(agents.views)] * environments
         self._actions = RowActions(agents.actions)
-        kind = observation_type(self.team, rounded=False)
-        self.observation: Float32 = np.zeros((environments, self.team.observation_size), kind)
-        self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
-        self.action: Float32 = np.zeros((environments, self.team.action_size), np.float32)
-        self.potential: Float32 = np.zeros_like(self.reward)
-        self.hindsight: Float32 | None = None
-        self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
-        self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.infos = EpisodeInfos(environments, config.name)
         self.silence = ""
-        self.note_drawing: Callable[[bool], None] = lambda drawing: None
         self._drawing = False
         self._watched: set[int] = set()
         self._made_for_pictures: set[int] = set()
-        self._returns = np.zeros((environments, self.team.agents))
-        self._seeds = [(-1, -1)] * environments
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds."""
@@ -133,11 +106,7 @@ class PettingZooBatch:
             self._fall_silent(error)
             self._renew_for_watchers(index)
             self._begin(index, seed)
-        self._seeds[index] = (scenario_seed, episode_seed)
-        self.infos.begin(index)
-        self.time[index] = 0
-        self.reward[index] = self.action[index] = self._returns[index] = 0.0
-        self.terminated[index] = self.ended[index] = False
+        self._begin_episode(index, scenario_seed, episode_seed)
 
     def step(self, action: Float32) -> None:
         """Step every environment whose episode is running with actions [E, A] float32.
@@ -149,11 +118,7 @@ class PettingZooBatch:
             SimulationError: an environment was never reset or all have ended, or the actions have the wrong shape or
                 are not finite.
         """
-        wanted = (len(self.time), self.team.action_size)
-        if action.shape != wanted or not np.isfinite(action).all():
-            raise SimulationError(f"actions must be finite numbers of shape {list(wanted)}.")
-        if self.time.min() < 0 or self.ended.all():
-            raise SimulationError("an environment was stepped before its reset or after its episode ended.")
+        self._require_possible(action)
         self.action = rows = self._actions.in_range(action)
         running = np.flatnonzero(~self.ended).tolist()
         if len(running) < len(rows):
@@ -165,13 +130,6 @@ class PettingZooBatch:
             self._step(index, actions)
         self._returns += self.reward
 
-    def summary(self, index: int) -> EpisodeSummary:
-        """Return the summary of an environment's episode so far; raise SimulationError before the first."""
-        if self.time[index] < 0:
-            raise SimulationError(f"environment {index} has not been reset yet.")
-        rewards = tuple(self._returns[index].tolist())
-        return EpisodeSummary(*self._seeds[index], int(self.time[index]), rewards, {}, self.infos.means(index))
-
     def change_arguments(self, arguments: str) -> None:
         """Make each environment with other arguments, a JSON object, when its next episode begins.
 
@@ -179,10 +137,6 @@ class PettingZooBatch:
             ConfigError: they are no JSON object.
         """
         self._config = replace(self._config, arguments=arguments)
-
-    def seeds(self, index: int) -> tuple[int, int]:
-        """Return the scenario seed and the episode seed of an environment's episode."""
-        return self._seeds[index]
 
     def alive(self, index: int) -> NDArray[np.bool_]:
         """Return which agents [agents] of an environment take part."""

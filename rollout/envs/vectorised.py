@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from eia_sec.common.config import EnvConfig
 from eia_sec.common.config.environment import MOST_EPISODE_STEPS
-from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError, ContractError, SimulationError
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import Float32
-from eia_sec.common.transitions import LARGEST, EpisodeSummary, observation_type
-from eia_sec.rollout.envs.episode_infos import EpisodeInfos
+from eia_sec.common.transitions import LARGEST, EpisodeSummary
+from eia_sec.rollout.envs.batch_rows import BatchRows
 from eia_sec.rollout.envs.guard import calling, factory, shown
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions, is_bounded_box, is_choice
 from eia_sec.rollout.envs.pettingzoo_spec import Agents, describe
@@ -125,7 +124,7 @@ class _Described:
         return {}, {}
 
 
-class VectorisedBatch:
+class VectorisedBatch(BatchRows):
     """A batch of environments that step as one; see `eia_sec.rollout.envs.base.Environments` for its attributes.
 
     Args:
@@ -136,9 +135,7 @@ class VectorisedBatch:
     Attributes:
         agents: the agents in row order.
         names: their names.
-        infos: the numbers that steps give besides.
         silence: why there are no pictures.
-        note_drawing: never called.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -162,32 +159,17 @@ class VectorisedBatch:
             failed.callback(self.close)
             self.agents = self._described(config)
             failed.pop_all()
-        self.names, self.team = tuple(self.agents.views), self.agents.team
-        self._actions = RowActions(self.agents.actions)
-        self._limit = config.steps or kind.steps or MOST_EPISODE_STEPS
-        self.spec = EnvironmentSpec(self.team, (1, self._limit))
-        self._observation: Float32 = np.zeros(
-            (environments, self.team.observation_size), observation_type(self.team, rounded=False)
-        )
-        self._unseen: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
-        self.action: Float32 = np.zeros((environments, self.team.action_size), np.float32)
-        self.potential: Float32 = np.zeros_like(self.reward)
-        self.hindsight: Float32 | None = None
-        self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
-        self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.infos = EpisodeInfos(environments, config.name)
-        self.note_drawing = lambda drawing: None
+        limit = config.steps or kind.steps or MOST_EPISODE_STEPS
+        super().__init__(config.name, self.agents.team, environments, limit)
+        self.names, self._actions = tuple(self.agents.views), RowActions(self.agents.actions)
+        self._observation, self._begun = self._unseen(), np.zeros(environments, np.bool_)
         self._sums: dict[str, NDArray[np.float64]] = {}
-        self._returns = np.zeros(self.reward.shape)
-        self._seeds = [(-1, -1)] * environments
 
     @property
     def observation(self) -> Float32:
         """[E, O] current observations; those of environments that were reset are read when they are asked for."""
-        if self._unseen.any():
-            rows, self._unseen[:] = self._unseen.copy(), False
+        if self._begun.any():
+            rows, self._begun[:] = self._begun.copy(), False
             self._observe(rows)
         return self._observation
 
@@ -195,14 +177,10 @@ class VectorisedBatch:
         """Start an episode; the environment's seed follows from both seeds."""
         with calling(self._name, "reset()"):
             self._made.reset(index, derive(scenario_seed, episode_seed, "reset") % 2**31)
-        self._seeds[index] = (scenario_seed, episode_seed)
-        self._unseen[index] = True
-        self.infos.begin(index)
-        self.time[index] = 0
-        self.reward[index] = self.action[index] = self._returns[index] = 0.0
+        self._begin_episode(index, scenario_seed, episode_seed)
+        self._begun[index] = True
         for sums in self._sums.values():
             sums[index] = 0.0
-        self.terminated[index] = self.ended[index] = False
 
     def step(self, action: Float32) -> None:
         """Step every environment with actions [E, A] float32; ended episodes stand still and earn nothing.
@@ -211,10 +189,7 @@ class VectorisedBatch:
             SimulationError: an environment was never reset or all have ended, or the actions have the wrong shape or
                 are not finite.
         """
-        if action.shape != self.action.shape or not np.isfinite(action).all():
-            raise SimulationError(f"actions must be finite numbers of shape {list(self.action.shape)}.")
-        if self.time.min() < 0 or self.ended.all():
-            raise SimulationError("an environment was stepped before its reset or after its episode ended.")
+        self._require_possible(action)
         self.action, running = self._actions.in_range(action), ~self.ended
         with calling(self._name, "step()"):
             found = self._made.step(self._actions.columns(self.action))
@@ -237,22 +212,15 @@ class VectorisedBatch:
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return the summary of an environment's episode so far; raise SimulationError before the first."""
-        steps = int(self.time[index])
-        if steps < 0:
-            raise SimulationError(f"environment {index} has not been reset yet.")
+        steps = max(1, int(self.time[index]))
         self.infos.begin(index)
-        self.infos.add(index, {"": {name: sums[index] / max(1, steps) for name, sums in self._sums.items()}})
-        rewards = tuple(self._returns[index].tolist())
-        return EpisodeSummary(*self._seeds[index], steps, rewards, {}, self.infos.means(index))
+        self.infos.add(index, {"": {name: sums[index] / steps for name, sums in self._sums.items()}})
+        return super().summary(index)
 
     def close(self) -> None:
         """Close the environments."""
         with calling(self._name, "close()"):
             self._made.close()
-
-    def seeds(self, index: int) -> tuple[int, int]:
-        """Return the scenario seed and the episode seed of an environment's episode."""
-        return self._seeds[index]
 
     def alive(self, index: int) -> NDArray[np.bool_]:
         """Return which agents [agents] of an environment take part: all."""
