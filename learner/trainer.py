@@ -295,9 +295,7 @@ class Trainer(ABC):
             values = checked_hyperparameters(self.config, mapping(held, "hyperparameters"))
         except SchemaError as error:
             raise CheckpointError(f"the checkpoint's hyperparameters do not fit the configuration: {error}") from error
-        # Release 0.1.0 did not keep the last one.
-        replaced = counter(held, "replaced") if "replaced" in held else 0
-        return (counter(held, "round"), counter(held, "exploits"), replaced), values
+        return (counter(held, "round"), counter(held, "exploits"), counter(held, "replaced")), values
 
 
 @contextmanager
