@@ -9,13 +9,15 @@ from typing import Any, Final
 
 from eia_sec.common.errors import EiaSecError
 from eia_sec.common.log import log
-from eia_sec.deploy.benchmark.bounded_files import read_bounded, write_whole
+from eia_sec.common.regular_files import read_regular_text
 from eia_sec.deploy.benchmark.trainings import FINAL_TIMES, FORMAT, RANDOM, Training
+from eia_sec.deploy.local.contained_files import write
 
 DIGITS: Final = 6
 """Decimals of returns and times."""
 POLICY: Final = ".safetensors"
 JOB: Final = ".job.json"
+FILE_MODE: Final = 0o644
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Records:
         """Return a training's result, or None when there is none that is whole."""
         path = self.path(training)
         try:
-            return _checked(json.loads(read_bounded(path), parse_constant=_not_finite), training)
+            return _checked(json.loads(read_regular_text(path), parse_constant=_not_finite), training)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
@@ -99,7 +101,7 @@ class Records:
             "sampled": _rounded(result.sampled),
             "made": dict(result.made),
         }
-        write_whole(self.path(training), json.dumps(held) + "\n")
+        write(self.folder, self.path(training).name, json.dumps(held).encode() + b"\n", FILE_MODE)
 
 
 def _rounded(numbers: list[float]) -> list[float]:

@@ -11,7 +11,7 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.config.checks import within
 from eia_sec.common.config.files import digest, read_saved, to_toml
 from eia_sec.common.errors import UsageError
-from eia_sec.deploy.benchmark.bounded_files import read_bounded
+from eia_sec.common.regular_files import read_regular_text
 
 FORMAT: Final = 1
 """Raised when what a record means changes; older ones are then made anew."""
@@ -90,7 +90,7 @@ class Training:
     def from_file(cls, path: Path) -> "Training":
         """Read a training; raise UsageError when the file holds none."""
         try:
-            data = json.loads(read_bounded(path))
+            data = json.loads(read_regular_text(path))
             measuring = Measuring(data["points"], data["scenarios"])
             return cls(str(data["algorithm"]), read_saved(str(data["config"])), measuring)
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:

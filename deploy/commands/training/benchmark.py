@@ -16,14 +16,14 @@ from eia_sec.common.config.files import from_toml
 from eia_sec.common.config.presets import preset, preset_for
 from eia_sec.common.errors import RunDirError, UsageError
 from eia_sec.common.process import StopSignal
-from eia_sec.deploy.benchmark.bounded_files import write_whole
 from eia_sec.deploy.benchmark.page import DATA, PICTURES, environment_table, page
 from eia_sec.deploy.benchmark.plan import Plan
-from eia_sec.deploy.benchmark.records import JOB, Records
+from eia_sec.deploy.benchmark.records import FILE_MODE, JOB, Records
 from eia_sec.deploy.benchmark.scores import Scores
 from eia_sec.deploy.benchmark.trainings import Measuring, Training
 from eia_sec.deploy.exit_codes import DONE, INTERRUPTED
 from eia_sec.deploy.local.code_options import code_options, plugin_options
+from eia_sec.deploy.local.contained_files import write
 from eia_sec.deploy.local.process_queue import ProcessQueue, Work
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.local.supervisor import Supervisor
@@ -158,7 +158,7 @@ class _Process(Work):
         super().__init__(training.name, training.label, words, float(training.config.steps))
 
     def begin(self, stop: StopSignal) -> bool:
-        write_whole(self._job, self._training.to_json())
+        write(self._job.parent, self._job.name, self._training.to_json().encode(), FILE_MODE)
         return not stop
 
     def is_done(self) -> bool:
@@ -180,9 +180,9 @@ def _write(
     modules = [*plan.environments, *config.plugins]
     made = made_by("eia-sec benchmark", [*plugin_options(config), *arguments], modules)
     try:
-        write_whole(options.out / DATA, json.dumps(scores.marl_eval()) + "\n")
+        write(options.out, DATA, json.dumps(scores.marl_eval()).encode() + b"\n", FILE_MODE)
         save_pictures(scores, options.out)
-        write_whole(options.out / PAGE, page(scores, made, train_options(options)))
+        write(options.out, PAGE, page(scores, made, train_options(options)).encode(), FILE_MODE)
     except OSError as error:
         raise RunDirError(f"cannot write into {options.out}: {error.strerror}.") from error
     for environment in plan.environments:

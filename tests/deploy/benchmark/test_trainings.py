@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from eia_sec.common import regular_files
 from eia_sec.common.config.files import with_values
 from eia_sec.common.errors import ConfigError, UsageError
-from eia_sec.deploy.benchmark import bounded_files
 from eia_sec.deploy.benchmark.trainings import RANDOM, Measuring, Training
 from tests.deploy.benchmark.examples import COVER, MEASURING, base
 
@@ -58,7 +58,7 @@ def test_other_files_are_refused(tmp_path, text):
 
 def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
     """No more is read than a benchmark writes."""
-    monkeypatch.setattr(bounded_files, "MOST_BYTES", 10)
+    monkeypatch.setattr(regular_files, "MOST_TEXT_BYTES", 10)
     path = tmp_path / "job.json"
     path.write_text(TRAINING.to_json())
     with pytest.raises(UsageError, match="more than 10 bytes"):
