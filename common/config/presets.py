@@ -49,7 +49,7 @@ checkpoint_seconds = 15.0
 [evaluation]
 farms = 4
 """
-"""A short run that uses every process and ends within about five minutes on two cores."""
+"""A short run that uses every process and ends within about four minutes on two cores."""
 
 GENERIC: Final = """
 steps = 1_000_000
