@@ -21,7 +21,6 @@ from eia_sec.common.protocol.messages import (
     CommandMessage,
     Envelope,
     EvaluationOrder,
-    EvaluationResult,
     ImitationMessage,
     ProgressMessage,
     ReceiptMessage,
@@ -31,6 +30,8 @@ from eia_sec.common.team import Float32, TeamSpec
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.elite.evaluation_plan import Plan, evaluation_plan
+from eia_sec.elite.evaluations import Order, flown
+from eia_sec.elite.noise_free import NoiseFreeReward
 from eia_sec.elite.scoring import decide, scores
 
 ANSWER_SECONDS = 30.0
@@ -66,15 +67,6 @@ class CoordinatorOptions:
     patience: float = 60.0
 
 
-@dataclass(frozen=True)
-class _Order:
-    """What a worker is asked to evaluate: the episodes of its share, by their places in the plan."""
-
-    worker: str
-    share: list[int]
-    message: EvaluationOrder
-
-
 class Coordinator:
     """The coordinator's loop.
 
@@ -103,6 +95,7 @@ class Coordinator:
         self._failures = self._malformed = 0
         self._patience = ANSWER_SECONDS
         self._reported = 0.0
+        self._noise_free = NoiseFreeReward(config, team, control, options.run)
 
     @property
     def now(self) -> ProgressMessage | None:
@@ -125,6 +118,8 @@ class Coordinator:
                 continue
             if self._schedule.after(now.separate_since).is_due(now.events, now.episodes):
                 yield from self._hold_event(now, stop)
+            elif self._workers:
+                self._noise_free.begin(min(self._workers), now)
         log(f"coordinator {self._options.name} ends.")
         self._report()
 
@@ -135,6 +130,7 @@ class Coordinator:
             yield IDLE_SECONDS
             self._listen()
             self._claim()
+            self._noise_free.step()
             if monotonic() - self._reported >= REPORT_SECONDS:
                 self._report()
             if monotonic() >= end:
@@ -260,7 +256,7 @@ class Coordinator:
             missing = [index for index in range(len(farms)) if index not in found]
             shares = [missing[k :: len(workers)] for k in range(len(workers))]
             orders = [
-                _Order(worker, share, EvaluationOrder(now.epoch, event, now.version, *_picked(share, farms, episodes)))
+                Order(worker, share, EvaluationOrder(now.epoch, event, now.version, *_picked(share, farms, episodes)))
                 for worker, share in zip(workers, shares, strict=True)
                 if share
             ]
@@ -288,10 +284,11 @@ class Coordinator:
             else:
                 yield from self._pause(RETRY_SECONDS)
 
-    def _ask_all(self, orders: Sequence["_Order"], versions: list[int], stop: StopSignal) -> Loop[dict[int, Float32]]:
+    def _ask_all(self, orders: Sequence[Order], versions: list[int], stop: StopSignal) -> Loop[dict[int, Float32]]:
         """Send the orders, and return the rewards of those that were answered in time, by the episode's index."""
         answers: dict[int, Float32] = {}
-        asked = [(order, Running(self._ask(order))) for order in orders]
+        bus, run, team = self._bus, self._options.run, self._team
+        asked = [(order, Running(flown(bus, run, team, order, self._patience))) for order in orders]
         while asked and not stop:
             yield from self._pause()
             for order, running in list(asked):
@@ -302,23 +299,6 @@ class Coordinator:
                         lengths = zip(order.share, result.reward, result.steps.tolist(), strict=True)
                         answers.update({index: reward[:steps] for index, reward, steps in lengths})
         return {} if stop else answers
-
-    def _ask(self, order: "_Order") -> Loop[EvaluationResult | None]:
-        key = keys.EVALUATION.key(self._options.run, worker=order.worker)
-        try:
-            answer = yield from self._bus.asking(key, order.message.encode(), self._patience)
-            if answer is None:
-                return None
-            result = EvaluationResult.decode(answer)
-        except BusClosedError:
-            raise
-        except (BusError, ProtocolError) as error:
-            log(f"coordinator: worker {order.worker} did not evaluate: {error}")
-            return None
-        if result.event != order.message.event or not _fits(result, len(order.share), self._team):
-            log(f"coordinator: worker {order.worker} answered with an evaluation that does not fit.")
-            return None
-        return result
 
     def _report(self) -> None:
         self._reported = monotonic()
@@ -335,6 +315,7 @@ class Coordinator:
             "rate": self._last.rate if self._last else 0.0,
             "elites": {name: int(np.argmax(omega)) for name, omega in zip(names, found, strict=False)},
             "scores": {name: omega.tolist() for name, omega in zip(names, found, strict=False)},
+            **self._noise_free.report(),
             "alarms": [self._fence.alarm] if self._fence.alarm else [],
         }
         self._presence.report(values, 0 if self._now is None else self._now.version)
@@ -343,14 +324,6 @@ class Coordinator:
         """Return the episode at which the next event falls due; 0 where none does, or while agents share actors."""
         now = self._now
         return 0 if now is None else self._schedule.after(now.separate_since).due_episode(now.events + 1) or 0
-
-
-def _fits(result: EvaluationResult, episodes: int, team: TeamSpec) -> bool:
-    """Return whether an evaluation holds this many whole episodes of finite rewards."""
-    reward, steps = result.reward, result.steps
-    if reward.ndim != 3 or reward.shape[::2] != (episodes, team.agents) or steps.shape != (episodes,):
-        return False
-    return bool((steps >= 1).all() and (steps <= reward.shape[1]).all() and np.isfinite(reward).all())
 
 
 def _picked(indices: Sequence[int], *columns: Sequence[int]) -> Iterator[tuple[int, ...]]:

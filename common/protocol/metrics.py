@@ -261,6 +261,12 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("rate", "", "blend factor vartheta of the newest event"),
         Metric("elites/*", "", "index inside each type of the agent that now scores best"),
         Metric("scores/*", "", "omega of each agent of a type, by its rewards in training; a list"),
+        Metric(
+            "noise_free/reward",
+            "reward",
+            "mean reward per agent and episode without noise, on the first 4 evaluation farms; not outside the farm",
+        ),
+        Metric("noise_free/number", "evaluations", "evaluations of this kind so far, about one a minute"),
         _ALARMS,
     ),
     "flight": (

@@ -13,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from eia_sec.deploy.monitor.snapshot import Imitation, LedgerCounts, Membership, Snapshot
+from eia_sec.deploy.monitor.snapshot import Imitation, LedgerCounts, Membership, Series, Snapshot
 from eia_sec.deploy.monitor.sparkline import Sparkline
 from eia_sec.deploy.monitor.tables import EventTable, ProcessTable, duration, number
 
@@ -35,7 +35,7 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
             heights of 24 lines and above.
     """
     learning, ledger = _learning(snapshot), _ledger(snapshot.ledger)
-    used = 2 + max(8, 2 + len(snapshot.reward) + len(snapshot.freshness)) + 5
+    used = 2 + max(8, 2 + len(_curves(snapshot))) + 5
     alarms = min(len(snapshot.alarms), max(1, min(MOST_ALARMS, (height - used - 7) // 4)))
     used += alarms + 2 if alarms else 0
     used += 1 if snapshot.population else 0
@@ -59,7 +59,7 @@ def summary(snapshot: Snapshot) -> str:
     if not (snapshot.episodes_total or snapshot.steps_total):
         waiting = f"{snapshot.state}: no report from the learner yet"
         return "; ".join(filter(None, (waiting, _count(len(snapshot.alarms), "alarm"))))
-    rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
+    rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in _rewards(snapshot))
     parts = [
         f"{snapshot.state}: {_budget(snapshot)}",
         f"reward {rewards}" if rewards else "",
@@ -122,15 +122,25 @@ def _learning(snapshot: Snapshot) -> Panel:
     grid.add_column(no_wrap=True)
     grid.add_column(justify="right", no_wrap=True, min_width=7)
     grid.add_column(ratio=1, no_wrap=True)
-    for index, series in enumerate(snapshot.reward):
+    for index, (series, colour) in enumerate(_curves(snapshot)):
         value = Text(number(series.latest, series.digits), style="bold" if index == 0 else "")
-        grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120, series.digits))
-    for series in snapshot.freshness:
-        value = Text(number(series.latest, series.digits))
-        grid.add_row(Text(series.name), value, Sparkline(series.values, "blue", 120, series.digits))
+        grid.add_row(Text(series.name), value, Sparkline(series.values, colour, 120, series.digits))
     waiting = Text("No episode has ended yet.", style="dim")
-    title = ", ".join(["reward per agent with noise", *(series.name for series in snapshot.freshness)])
+    rewards = "reward per agent" if snapshot.noise_free.values else "reward per agent with noise"
+    title = ", ".join([rewards, *(series.name for series in snapshot.freshness)])
     return _panel(title, grid if grid.row_count else waiting)
+
+
+def _curves(snapshot: Snapshot) -> list[tuple[Series, str]]:
+    """Return the curves and their colours: the rewards, then the other metrics."""
+    found = [(series, "yellow" if series is snapshot.noise_free else "green") for series in _rewards(snapshot)]
+    return [*found, *((series, "blue") for series in snapshot.freshness)]
+
+
+def _rewards(snapshot: Snapshot) -> list[Series]:
+    """Return the rewards: the mean, that without noise if it is known, and each type's."""
+    known = [snapshot.noise_free] if snapshot.noise_free.values else []
+    return [*snapshot.reward[:1], *known, *snapshot.reward[1:]]
 
 
 def _flow(snapshot: Snapshot) -> Panel:

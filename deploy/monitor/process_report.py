@@ -27,7 +27,7 @@ TROUBLES: Final = ("outages", "step_timeouts")
 """A worker's counts of what its environments did."""
 _SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds", *TROUBLES))
 """The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
-_OF_ELITE: Final = frozenset(("rate", "next_episode", "shared", "elites", "scores", "failures"))
+_OF_ELITE: Final = frozenset(("rate", "next_episode", "shared", "elites", "scores", "failures", "noise_free"))
 _WHOLE: Final = "learner"
 """The role whose whole report is kept."""
 
@@ -116,6 +116,7 @@ def _check(values: Mapping[str, Any]) -> None:
     for name in ("elites", "waits", "curves"):
         if not isinstance(values.get(name, {}), dict):
             raise SchemaError(f"{name} is not a map.")
+    noise_free_of(values)
     for number in (*values.get("elites", {}).values(), *values.get("waits", {}).values()):
         float(number)
     plotted(values), type_label(values, "")
@@ -124,6 +125,12 @@ def _check(values: Mapping[str, Any]) -> None:
     float(values.get("rate", 0)), float(values.get("next_episode", 0)), int(values.get("failures", 0))
     if not all(isinstance(text, str) for text in values.get("alarms", [])):
         raise SchemaError("an alarm is not a text.")
+
+
+def noise_free_of(values: Mapping[str, Any]) -> tuple[int, float]:
+    """Return the number of the coordinator's newest noise-free evaluation, 0 before the first, and its reward."""
+    found = values.get("noise_free", {})
+    return int(found.get("number", 0)), float(found.get("reward", 0.0))
 
 
 def ledger_of(values: Mapping[str, Any]) -> LedgerCounts:

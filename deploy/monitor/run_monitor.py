@@ -1,7 +1,7 @@
 """The state of a run as a plain subscriber sees it: metric messages and liveliness tokens, put into a snapshot."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 from eia_sec.common.callbacks import SHOWN
@@ -19,6 +19,7 @@ from eia_sec.deploy.monitor.process_report import (
     imitation_row,
     ledger_of,
     membership_of,
+    noise_free_of,
 )
 from eia_sec.deploy.monitor.sanitised import plain
 from eia_sec.deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
@@ -65,6 +66,8 @@ class RunMonitor:
         self._reports: dict[tuple[str, str], ProcessReport] = {}
         self._rewards: dict[str, deque[float]] = {}
         self._others: dict[str, deque[float]] = {}
+        self._noise_free: deque[float] = deque(maxlen=HISTORY)
+        self._evaluated = 0
         self._malformed = self._turned_away = 0
 
     def update(self) -> None:
@@ -115,6 +118,11 @@ class RunMonitor:
     def _take(self, name: tuple[str, str], sender: Envelope, message: MetricMessage, now: float) -> None:
         seen = self._of_name(name)
         seen.follow(name[0], message, sender.version, now)
+        if name[0] == "elite":
+            number, reward = noise_free_of(seen.values)
+            if number not in (0, self._evaluated):
+                self._evaluated = number
+                self._noise_free.append(reward)
         if name[0] == LEARNER and seen.values.get("curves"):
             curves = seen.values["curves"]
             shown = {curve.name: value_of(curves, curve) for curve in plotted(seen.values)}
@@ -165,6 +173,7 @@ class RunMonitor:
                 Series(str(kind)[:NAME_LENGTH], tuple(points), _digits(points))
                 for kind, points in self._rewards.items()
             ),
+            noise_free=Series("without noise", tuple(self._noise_free), _digits(self._noise_free), smoothing=1),
             freshness=self._freshness(),
             steps=int(values.get("environment_steps", 0)),
             steps_rate=learner.rate("environment_steps") if learner else None,
@@ -318,7 +327,7 @@ def _hidden(rows: int, messages: int) -> list[str]:
     return found
 
 
-def _digits(points: Sequence[float]) -> int:
+def _digits(points: Collection[float]) -> int:
     """Return the decimals of a curve: none for hundreds, two for small numbers."""
     return 0 if max(map(abs, points), default=0.0) >= 100.0 else 2
 

@@ -21,16 +21,18 @@ class Series:
         name: its label in the view.
         values: oldest first, one for each episode or report.
         digits: number of decimals.
+        smoothing: how many of the newest values the latest one is the mean of.
     """
 
     name: str
     values: tuple[float, ...] = ()
     digits: int = 1
+    smoothing: int = SMOOTHING
 
     @property
     def latest(self) -> float | None:
-        """Mean of the newest SMOOTHING values, or None when there is none."""
-        newest = self.values[-SMOOTHING:]
+        """Mean of the newest values, or None when there is none."""
+        newest = self.values[-self.smoothing :]
         return sum(newest) / len(newest) if newest else None
 
 
@@ -198,6 +200,8 @@ class Snapshot:
         steps_total: training steps of the whole run; 0 where episodes end it.
         progress: finished share of the run, 0..1.
         reward: mean reward per agent, first over all agents, then for each type.
+        noise_free: what the actors earn per agent without noise, by small evaluations during the run; empty before the
+            first, and outside the farm.
         freshness: AoI and VDF, units, or the length of episodes where there are none.
         steps: environment steps accepted.
         steps_rate: the same per second.
@@ -225,6 +229,7 @@ class Snapshot:
     steps_total: int = 0
     progress: float = 0.0
     reward: tuple[Series, ...] = ()
+    noise_free: Series = Series("without noise")
     freshness: tuple[Series, ...] = ()
     steps: int = 0
     steps_rate: float | None = None

@@ -144,6 +144,18 @@ def test_a_run_in_which_nobody_imitates_has_no_panel_about_it():
         assert line_with("elite imitation", drawn(dataclasses.replace(SNAPSHOT, imitation=imitation), 80))
 
 
+def test_what_the_actors_earn_without_noise_stands_below_the_mean():
+    """Its newest value is shown, on a terminal of any size and without one; before the first nothing is."""
+    seen = dataclasses.replace(SNAPSHOT, noise_free=Series("without noise", (100.0, 815.0), smoothing=1))
+    for height in (24, 40):
+        lines = drawn(seen, 80, height)
+        assert "815" in line_with("without noise", lines)
+        assert lines.index(line_with("without noise", lines)) == lines.index(line_with("mean", lines)) + 1
+        assert len(lines) <= height
+    assert "reward mean 420.5, without noise 815.0, communication" in summary(seen)
+    assert "without noise" not in summary(SNAPSHOT) + "".join(drawn(SNAPSHOT, 80))
+
+
 def test_the_end_is_never_exceeded():
     """Episodes and steps that were under way when the run ended are not shown beyond its total."""
     over = dataclasses.replace(SNAPSHOT, episodes=2016)

@@ -214,7 +214,9 @@ def test_labels_are_shown_as_they_are():
     series = Series("delay [ms]", (1.0, 2.0), 1)
     odd = Series("[/x]", (1.0,), 1)
     console = Console(file=io.StringIO(), width=100)
-    console.print(live_view._learning(SimpleNamespace(reward=(), freshness=(series, odd))))
+    console.print(
+        live_view._learning(SimpleNamespace(reward=(), noise_free=Series("without noise"), freshness=(series, odd)))
+    )
     shown = console.file.getvalue()
     assert "delay [ms]" in shown
     assert "[/x]" in shown

@@ -53,3 +53,23 @@ def test_a_resumed_learner_waits_for_a_share_of_its_own_time():
 
         until(seen, "the learner")
         assert monitor.snapshot().learner_wait == 1.0
+
+
+def test_each_evaluation_of_the_coordinator_is_one_point():
+    """Reports come each second and evaluations each minute; one that scores as before is a point too."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus:
+        monitor = RunMonitor(bus, "r")
+        elite = Presence(bus, "r", "elite", "coordinator", 1)
+        points = [(1, 700.0), (1, 700.0), (2, 815.0), (3, 815.0), (3, 815.0)]
+        for events, (number, reward) in enumerate(points, 1):
+            values = {"next_episode": events, "noise_free": {"number": number, "reward": reward}}
+
+            def seen(values=values):
+                elite.report(values)
+                monitor.update()
+                return monitor.snapshot().imitation.next_episode == values["next_episode"]
+
+            until(seen, "the coordinator")
+        assert monitor.snapshot().noise_free.values == (700.0, 815.0, 815.0)
+        assert monitor.snapshot().noise_free.latest == 815.0
