@@ -32,7 +32,8 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
 from eia_sec.deploy.commands.policies.fly import FlyArguments, make_decider
 from eia_sec.deploy.exit_codes import run_command
-from eia_sec.deploy.flight.mavlink import CLIMB_GAIN, BridgeOptions, MavlinkBridge
+from eia_sec.deploy.flight.bridge import CLIMB_GAIN, Bridge
+from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
 from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.followed_farm import sensor_numbers
@@ -44,7 +45,7 @@ from eia_sec.rollout.sim.reference.farm import ReferenceFarm
 from eia_sec.rollout.sim.reference.power import flight_power
 from research.benchmarks.dynamics import GAIN, GRAVITY, INTEGRAL
 from tests.deploy.flight.air import Air, Clock, make_pilot
-from tests.deploy.flight.autopilot import FakeAutopilot, free_port
+from tests.deploy.flight.mavlink_autopilot import FakeMavlink, free_port
 
 Array = NDArray[np.float64]
 PERIODS: Final = 8
@@ -141,7 +142,7 @@ class Rotorcraft(Airframe):
         self.place, self.velocity = self._state["x"], self._state["v"]
 
 
-class Autopilot(FakeAutopilot):
+class Autopilot(FakeMavlink):
     """The tests' autopilot with an airframe."""
 
     def __init__(self, port: int, clock: Clock, airframe: Airframe) -> None:
@@ -170,7 +171,8 @@ class MavlinkWay:
 
     def __init__(self, link: VehicleLink, airframe: Airframe, clock: Clock) -> None:
         port = free_port()
-        self._bridge = MavlinkBridge(link, BridgeOptions(f"udpin:127.0.0.1:{port}", local=(0.0, 0.0)), clock)
+        options = MavlinkOptions(f"udpin:127.0.0.1:{port}", local=(0.0, 0.0))
+        self._bridge = Bridge(link, MavlinkAutopilot(options, clock), clock)
         self.autopilot = Autopilot(port, clock, airframe)
 
     def fly(self) -> None:

@@ -11,7 +11,7 @@ from eia_sec.common.config.files import to_toml
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
 from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
-from tests.deploy.flight.autopilot import FakeAutopilot, free_port
+from tests.deploy.flight.mavlink_autopilot import FakeMavlink, free_port
 from tests.system.fleet import RUN, TINY, configured, until
 
 SECONDS = 90.0
@@ -33,7 +33,7 @@ def test_a_heuristic_flies_an_autopilot_and_whoever_dies_the_vehicle_stops(end: 
     farm = tmp_path / "farm.toml"
     farm.write_text(to_toml(config), encoding="utf-8")
     names = [name for group in ("communication", "monitoring", "collection") for name in names_of(config.farm, group)]
-    autopilot = FakeAutopilot(port, time.monotonic)
+    autopilot = FakeMavlink(port, time.monotonic)
     autopilot.place[:2] = [50.0, 50.0]
     node = start(
         *("fly", "--policy", "lawnmower", "--config", str(farm), "--run", RUN, "--connect", str(endpoint)),

@@ -16,7 +16,8 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.commands.policies.fly import vehicles_of
-from eia_sec.deploy.flight.mavlink import BridgeOptions, MavlinkBridge
+from eia_sec.deploy.flight.bridge import Bridge
+from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
 from eia_sec.deploy.flight.vehicle import HEIGHTS, VehicleLink
 from eia_sec.deploy.options import parse
 
@@ -72,10 +73,10 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.credentials.require("vehicle", vehicle)
     stop = StopSignal()
     stop.install()
-    how = BridgeOptions(options.autopilot, options.system, options.rate, options.local, options.baud)
+    how = MavlinkOptions(options.autopilot, options.system, options.local, options.baud)
     with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
         link = VehicleLink(bus, options.run, vehicle, agent, options.fastest, heights=options.heights)
-        bridge = MavlinkBridge(link, how)
+        bridge = Bridge(link, MavlinkAutopilot(how))
         lines = _Lines() if options.reports else None
         log(f"{vehicle} flies as {agent}; its autopilot is at {options.autopilot}.")
         try:

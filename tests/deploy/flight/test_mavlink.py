@@ -7,11 +7,12 @@ import pytest
 
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, PoseMessage, SetpointMessage
-from eia_sec.deploy.flight.mavlink import CLIMB, MASK, STOP_SECONDS, AutopilotClock, BridgeOptions, MavlinkBridge
+from eia_sec.deploy.flight.bridge import CLIMB, STOP_SECONDS, AutopilotClock, Bridge, Mode
+from eia_sec.deploy.flight.mavlink import MASK, MavlinkAutopilot, MavlinkOptions
 from eia_sec.deploy.flight.vehicle import VehicleLink
 from eia_sec.rollout.farm_files.projection import TangentPlane
 from tests.deploy.flight.air import Air, Clock
-from tests.deploy.flight.autopilot import FakeAutopilot, M, free_port
+from tests.deploy.flight.mavlink_autopilot import FakeMavlink, M, free_port
 
 RUN, UAV, AGENT = "run", "uav", "monitoring_0"
 PERIOD = 0.05
@@ -26,9 +27,10 @@ class Flight:
         self._in = self.air.subscribe(keys.POSE.key(RUN, vehicle=UAV), 1000)
         self.link = VehicleLink(self.air, RUN, UAV, AGENT, (10.0, 10.0), self.clock, self.clock)
         local = None if origin is not None else (100.0, 50.0)
-        options = BridgeOptions(f"udpin:127.0.0.1:{port}", local=local)
-        self.bridge = MavlinkBridge(self.link, options, self.clock)
-        self.autopilot = FakeAutopilot(port, self.clock, kind, origin, height)
+        options = MavlinkOptions(f"udpin:127.0.0.1:{port}", local=local)
+        self.way = MavlinkAutopilot(options, self.clock)
+        self.bridge = Bridge(self.link, self.way, self.clock)
+        self.autopilot = FakeMavlink(port, self.clock, kind, origin, height)
         self.velocity, self.node, self.hovers, self._number = (0.0, 0.0), True, False, 0
         self.poses: list[PoseMessage] = []
         self._told = 0, 0
@@ -111,7 +113,7 @@ def test_arming_and_modes_stay_the_pilots(flight):
     assert flight.autopilot.pilot_sets_mode("POSCTL")
     flight.pass_time(2.0)
     assert flight.autopilot.velocity == [0.0, 0.0, 0.0]
-    assert (flight.bridge.mode, flight.bridge.armed) == ("POSCTL", True)
+    assert flight.bridge.mode == Mode("POSCTL", armed=True)
     assert flight.autopilot.pilot_sets_mode("OFFBOARD")
     flight.pass_time(2.0)
     assert flight.autopilot.velocity[1] == pytest.approx(3.0)
@@ -216,18 +218,18 @@ def test_a_vehicle_that_is_already_in_guided_waits_for_its_pilot():
 def test_positions_are_as_old_as_on_the_autopilots_clock():
     """A latency that grows is an age; what is older than the newest is refused; a restart begins anew."""
     clock = AutopilotClock()
-    assert clock.goes_on(10_000, 100.0)
-    assert clock.goes_on(10_100, 100.1)
+    assert clock.goes_on(10.0, 100.0)
+    assert clock.goes_on(10.1, 100.1)
     assert clock.age == pytest.approx(0.0, abs=1e-3)
-    assert clock.goes_on(10_200, 100.9)
+    assert clock.goes_on(10.2, 100.9)
     assert clock.age == pytest.approx(0.7, abs=1e-3)
-    assert not clock.goes_on(10_150, 100.95)
-    assert not clock.goes_on(10_200, 200.0)
-    assert not clock.goes_on(500, 101.0)
-    assert clock.goes_on(600, 102.0)
+    assert not clock.goes_on(10.15, 100.95)
+    assert not clock.goes_on(10.2, 200.0)
+    assert not clock.goes_on(0.5, 101.0)
+    assert clock.goes_on(0.6, 102.0)
     assert clock.age == pytest.approx(0.0, abs=1e-3)
     for second in range(3600):  # an autopilot whose clock is 50 ppm slow
-        assert clock.goes_on(int(1600 + 1e3 * second * (1 - 5e-5)), 103.0 + second)
+        assert clock.goes_on(1.6 + second * (1 - 5e-5), 103.0 + second)
     assert clock.age < 2e-3
 
 
@@ -239,11 +241,11 @@ def test_a_backlog_is_neither_told_as_new_nor_flown_on(flight):
     for _ in range(16):
         flight.clock.now += PERIOD
         flight.autopilot.turn()
-    before, wire = len(flight.poses), flight.bridge._wire
-    flight.bridge._wire = _Slow(wire, 4)
+    before, wire = len(flight.poses), flight.way._wire
+    flight.way._wire = _Slow(wire, 4)
     flight.bridge.turn()
-    flight.bridge._wire = wire
-    flight.autopilot._read(flight.clock.now)
+    flight.way._wire = wire
+    flight.autopilot.read()
     assert flight.autopilot.wanted == [0.0, 0.0, 0.0]
     flight.pass_time(PERIOD)
     assert flight.poses[before].stamp / 1e6 == pytest.approx(stalled + 0.1, abs=0.11)
@@ -331,7 +333,7 @@ def test_ardupilot_is_asked_for_positions_and_flies_in_guided():
     flight.pass_time(3.0)
     assert flight.autopilot.velocity[0] == pytest.approx(2.0)
     assert flight.poses
-    assert flight.bridge.mode == "GUIDED"
+    assert flight.bridge.mode == Mode("GUIDED", armed=True)
     flight.node = False
     flight.pass_time(STOP_SECONDS + 4.0)
     assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
@@ -372,12 +374,12 @@ def test_what_another_system_says_is_ignored():
     flight = Flight()
     flight.autopilot._wire.mav.srcSystem = 9
     flight.pass_time(1.0)
-    assert (flight.poses, flight.bridge.mode) == ([], "")
+    assert (flight.poses, flight.bridge.mode) == ([], None)
     flight.autopilot._wire.mav.srcSystem, flight.autopilot._wire.mav.srcComponent = 1, 7
     flight.pass_time(1.0)
-    assert (flight.poses, flight.bridge.mode) == ([], "")
+    assert (flight.poses, flight.bridge.mode) == ([], None)
     flight.autopilot._wire.mav.srcComponent = 1
     flight.pass_time(1.0)
     assert flight.poses
-    assert flight.bridge.mode == "POSCTL"
+    assert flight.bridge.mode == Mode("POSCTL", armed=False)
     flight.close()

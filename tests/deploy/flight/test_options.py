@@ -6,8 +6,8 @@ import pytest
 
 from eia_sec.common.errors import UsageError
 from eia_sec.deploy.commands.policies import bridge, fly
-from eia_sec.deploy.flight.mavlink import BridgeOptions, MavlinkBridge
-from tests.deploy.flight.autopilot import free_port
+from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
+from tests.deploy.flight.mavlink_autopilot import free_port
 
 LAWNMOWER = ("--policy", "lawnmower")
 BRIDGE = ("mavlink", "--vehicle", "uav-7=monitoring_0")
@@ -68,6 +68,6 @@ def test_a_missing_extra_is_named(package, tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(UsageError, match=r"pip install 'eia-sec\[(mavlink|record)\]'"):
-        fly.command((*LAWNMOWER, "--record", str(tmp_path / "a.mcap"))) if package == "mcap" else MavlinkBridge(
-            None, BridgeOptions("udpin:127.0.0.1:0")
+        fly.command((*LAWNMOWER, "--record", str(tmp_path / "a.mcap"))) if package == "mcap" else MavlinkAutopilot(
+            MavlinkOptions("udpin:127.0.0.1:0")
         )
