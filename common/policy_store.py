@@ -1,12 +1,14 @@
 """A process's copy of the actors, updated by newer parameters and by imitation events."""
 
+from dataclasses import replace
+
 from eia_sec.common.actors import TeamActors, checked_head, imitate
 from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.errors import VersionError
 from eia_sec.common.gru import checked_memory
 from eia_sec.common.imitation import ImitationEvent
 from eia_sec.common.protocol.messages import ParametersMessage
-from eia_sec.common.team import TeamSpec
+from eia_sec.common.team import Float32, TeamSpec
 
 
 class PolicyStore:
@@ -61,6 +63,17 @@ class PolicyStore:
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()
         return True
+
+    def with_parameters(self, flat: tuple[Float32, ...]) -> TeamActors:
+        """Return the actors with other parameters.
+
+        Raises:
+            VersionError: before the first parameters.
+            SchemaError: when an array does not fit or is not finite.
+        """
+        if self.actors is None:
+            raise VersionError("no parameters have arrived yet.")
+        return replace(self.actors, flat=tuple(part.copy() for part in flat))
 
     def offer_imitation(self, event: ImitationEvent, epoch: int) -> bool:
         """Take an imitation event of a learner's epoch; return whether it has now changed the actors.

@@ -2,9 +2,12 @@
 
 It is the elite coordinator of each member as well, with a session of its own for each: members need not know of one
 another, and there is no head node. A round waits for the slowest member that takes part, and members train on
-meanwhile. One that is away while a round is held is left out of it.
+meanwhile. It does not wait for ever: one that is away, comes no further, is not scored in time, or cannot be told, is
+left out of it.
 """
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -36,6 +39,12 @@ AWAY_SECONDS = 3.0 * LEASE_SECONDS
 """Time for which a member may be out of reach before a round begins without it, or begins again."""
 PATIENCE_SECONDS = 5.0
 """Time between two lines of the log while a member does not answer."""
+LATE_SECONDS, LATE_FACTOR = 120.0, 3.0
+"""A round goes on without those that are not scored in this time, or in so many times that of the first, if longer."""
+STALLED_SECONDS = 300.0
+"""Time without a step or an update after which rounds do not wait for a member that trains."""
+MOST_ATTEMPTS = 3
+"""Attempts at a round that may fail by one member before it is held without it."""
 
 
 _NOBODY: Float32 = np.zeros((0, 0), np.float32)
@@ -57,6 +66,7 @@ class Member:
         self._parameters = bus.subscribe_state(keys.PARAMETERS.key(name))
         self._newest: ParametersMessage | None = None
         self._malformed = False
+        self._done, self._moved, self._stalled = (0, 0, 0), monotonic(), False
 
     @property
     def progress(self) -> ProgressMessage | None:
@@ -69,9 +79,27 @@ class Member:
         return now if usable else None
 
     @property
-    def actors(self) -> tuple[Float32, ...]:
-        """Its newest actors, for each type [n_v or 1, P_v]; nothing before the first."""
-        return () if self._newest is None else self._newest.flat
+    def parameters(self) -> ParametersMessage:
+        """Its newest actors, once it has progress."""
+        if self._newest is None:
+            raise ProtocolError(f"{self.name} has published no parameters yet.")
+        return self._newest
+
+    def note_alive(self) -> None:
+        """Count an evaluation, for which its workers stop training, as a sign that it comes further."""
+        self._moved = monotonic()
+
+    def moves(self, now: ProgressMessage) -> bool:
+        """Return whether it has come further of late; log when that changes."""
+        done = now.epoch, now.environment_steps, now.updates
+        if done != self._done:
+            self._done, self._moved = done, monotonic()
+        stalled = monotonic() - self._moved > STALLED_SECONDS
+        if stalled != self._stalled:
+            said = f"has done nothing for {STALLED_SECONDS:g} s; rounds do not wait for it" if stalled else "goes on"
+            log(f"population: {self.name} {said}.")
+        self._stalled = stalled
+        return not stalled
 
     def _listen(self) -> None:
         if (sample := self._parameters.poll()) is None:
@@ -90,18 +118,35 @@ class Member:
 
 
 @dataclass(frozen=True)
+class _Candidate:
+    """A member in a round.
+
+    Attributes:
+        member: who takes part.
+        progress: its progress when the round began.
+        parameters: its actors at that time: those that are evaluated, and that others imitate.
+        evaluation: the evaluation, under way.
+    """
+
+    member: Member
+    progress: ProgressMessage
+    parameters: ParametersMessage
+    evaluation: Running[tuple[RewardSums, int, int] | None]
+
+
+@dataclass(frozen=True)
 class _Result:
     """A member's evaluation in a round.
 
     Attributes:
-        member: who was evaluated.
-        progress: its progress when the round began.
+        member, progress, parameters: as in the candidate.
         rewards: of its agents.
         steps: environment steps of the evaluation.
     """
 
     member: Member
     progress: ProgressMessage
+    parameters: ParametersMessage
     rewards: RewardSums
     steps: int
 
@@ -118,7 +163,8 @@ class Population:
         self._members: dict[str, Member] = {}
         self._compared: dict[tuple[Member, Member], bool] = {}
         self._expected = {one.run for one in options}
-        self._held = 0
+        self._held = self._round = 0
+        self._failed: Counter[str] = Counter()
         self._reached = False
         self._unfit: list[UsageError | ProtocolError] = []
         # Until the end: a member may finish while it is told of a round.
@@ -235,11 +281,23 @@ class Population:
                 alone = self._tell_alone(present, alone)
                 continue
             number = min(_due(member, now) for member, now in present)
+            if number > self._round:
+                self._round = number
+                self._failed.clear()
+            present = [(member, now) for member, now in present if self._failed[member.name] < MOST_ATTEMPTS]
             told = sorted((now.round or 0 for _, now in present), reverse=True)
             # Weak members are told before all others: a round that fewer know than those is not over.
-            held = max(self._held, told[weak_members(len(present)) - 1])
-            if number > held:
+            held = max(self._held, *told[weak_members(len(present)) - 1 :][:1])
+            if number <= held:
+                continue
+            if len(present) > 1:
                 yield from self._hold(number, present, stop)
+                # A learner that has died is known to be away only then.
+                end = monotonic() + (LEASE_SECONDS if self._held < number else 0.0)
+                while monotonic() < end:
+                    yield IDLE_SECONDS
+            else:
+                self._skip(number)
 
     def _tell_alone(self, present: Sequence[tuple[Member, ProgressMessage]], told: int) -> int:
         """Log once that a round is due for a member that is alone; return the newest round of which this was said."""
@@ -256,37 +314,77 @@ class Population:
         """
         members = [self._members[one.run] for one in self._options if one.run in self._members]
         members = [member for member in members if self._belongs(member, members[0])]
-        return [(member, now) for member in members if (now := member.progress) is not None]
+        found = [(member, now) for member in members if (now := member.progress) is not None]
+        return [(member, now) for member, now in found if member.moves(now)]
+
+    def _skip(self, number: int) -> None:
+        """Give up a round for which fewer than two members are left."""
+        log(f"population: round {number} is not held, because fewer than two members are left for it.")
+        self._held = number
+
+    def _fail(self, number: int, member: Member, reason: str) -> None:
+        """Note that an attempt at a round failed by a member, and leave it out after the last one."""
+        self._failed[member.name] += 1
+        if self._failed[member.name] < MOST_ATTEMPTS:
+            log(f"population: round {number} begins again, because {member.name} {reason}.")
+        else:
+            self._leave_out(number, member, f"{reason} in {MOST_ATTEMPTS} attempts")
+
+    def _leave_out(self, number: int, member: Member, reason: str) -> None:
+        log(f"population: round {number} goes on without {member.name}, because it {reason}.")
+        member.coordinator.note_missed(f"round {number} was held without it, because it {reason}")
 
     def _hold(self, number: int, present: Sequence[tuple[Member, ProgressMessage]], stop: StopSignal) -> Loop[None]:
         """Evaluate all members on the same episodes, and tell each what follows; if one leaves meanwhile, give up."""
-        plan = population_plan(present[0][0].config, number)
-        asked = [
-            (member, now, Running(member.coordinator.evaluate(number, plan, now, stop))) for member, now in present
-        ]
-        results: list[_Result] = []
-        seen = {member.name: monotonic() for member, _ in present}
-        while asked:
-            yield IDLE_SECONDS
-            for member, now, running in list(asked):
-                done, current = running.step(), member.progress
-                if current is not None:
-                    seen[member.name] = monotonic()
-                restarted = current is not None and current.epoch != now.epoch
-                if restarted or monotonic() - seen[member.name] > AWAY_SECONDS:
-                    log(f"population: round {number} begins again, because {member.name} is away.")
-                    return
-                if not done:
-                    continue
-                if running.result is None:
-                    log(f"population: round {number} begins again, because {member.name} could not be evaluated.")
-                    return
-                rewards, _, steps = running.result
-                results.append(_Result(member, now, rewards, steps))
-                asked.remove((member, now, running))
+        results = yield from self._scored(number, present, stop)
+        if results is None:
+            return
+        if len(results) < 2:
+            self._skip(number)
+            return
         team, elite = present[0][0].team, present[0][0].config.elite
         ranking = ranked(team, elite, {result.member.name: result.rewards for result in results})
         yield from self._tell(number, ranking, results, stop)
+
+    def _scored(
+        self, number: int, present: Sequence[tuple[Member, ProgressMessage]], stop: StopSignal
+    ) -> Loop[list[_Result] | None]:
+        """Return the evaluations of those that are scored in time; None if one leaves meanwhile."""
+        plan = population_plan(present[0][0].config, number)
+        asked = []
+        for member, now in present:
+            actors = member.parameters
+            evaluation = Running(member.coordinator.evaluate(number, plan, now, stop, actors))
+            asked.append(_Candidate(member, now, actors, evaluation))
+        results: list[_Result] = []
+        begun, allowed = monotonic(), math.inf
+        seen = {member.name: begun for member, _ in present}
+        while asked:
+            yield IDLE_SECONDS
+            for one in list(asked):
+                member, done, current = one.member, one.evaluation.step(), one.member.progress
+                if current is not None:
+                    seen[member.name] = monotonic()
+                restarted = current is not None and current.epoch != one.progress.epoch
+                if restarted or monotonic() - seen[member.name] > AWAY_SECONDS:
+                    self._fail(number, member, "is away")
+                    return None
+                if done and one.evaluation.result is None:
+                    if not stop:
+                        self._fail(number, member, "could not be evaluated")
+                    return None
+                if done and one.evaluation.result is not None:
+                    rewards, _, steps = one.evaluation.result
+                    results.append(_Result(member, one.progress, one.parameters, rewards, steps))
+                    asked.remove(one)
+                    member.note_alive()
+                    if len(results) == 1:
+                        allowed = max(LATE_SECONDS, LATE_FACTOR * (monotonic() - begun))
+            if monotonic() - begun > allowed:
+                for one in asked:
+                    self._leave_out(number, one.member, f"was not scored within {allowed:.0f} s")
+                break
+        return results
 
     def _tell(self, number: int, ranking: Ranking, results: Sequence[_Result], stop: StopSignal) -> Loop[None]:
         """Tell each member what the round means for it, the weak ones first: if one cannot be told, nobody else is."""
@@ -302,15 +400,15 @@ class Population:
         first = [(result, event) for result, event in events if result.member.name in ranking.weak]
         missed = yield from self._delivered(first, stop)
         if missed:
-            if not stop:
-                log(f"population: round {number} begins again, because {', '.join(missed)} could not be told.")
+            for member in missed if not stop else ():
+                self._fail(number, member, "could not be told")
             return
         self._held = number
         yield from self._delivered([one for one in events if one not in first], stop)
 
-    def _delivered(self, events: Sequence[tuple[_Result, Exploit]], stop: StopSignal) -> Loop[list[str]]:
-        """Send members what a round means for them; return the names of those that did not take it."""
-        asked, missed = [], []
+    def _delivered(self, events: Sequence[tuple[_Result, Exploit]], stop: StopSignal) -> Loop[list[Member]]:
+        """Send members what a round means for them; return those that did not take it."""
+        asked, missed = [], list[Member]()
         for result, event in events:
             payload = ExploitMessage.of(event, result.progress.epoch).encode()
             loop = result.member.coordinator.deliver(keys.POPULATION, payload, f"round {event.round}", stop)
@@ -323,7 +421,7 @@ class Population:
                     if running.result:
                         log(_sentence(member, event))
                     else:
-                        missed.append(member.name)
+                        missed.append(member)
         return missed
 
 
@@ -351,7 +449,7 @@ def _outcome(number: int, ranking: Ranking, result: _Result, results: Mapping[st
     values = checked_hyperparameters(member.config, best.progress.hyperparameters or {})
     flat = []
     for kind, (source, (elite, agent)) in enumerate(zip(sources, ranking.elites, strict=True)):
-        found = results[elite].member.actors[kind] if source else _NOBODY
+        found = results[elite].parameters.flat[kind] if source else _NOBODY
         if source and result.progress.separate_since is None and len(found) > 1:
             found = found[agent : agent + 1]  # its agents still share their actors
         flat.append(found)

@@ -1,6 +1,6 @@
 """The elite coordinator: when an event is due, it has workers evaluate the actors and announces the elites."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from eia_sec.common.protocol.messages import (
     Envelope,
     EvaluationOrder,
     ImitationMessage,
+    ParametersMessage,
     ProgressMessage,
     ReceiptMessage,
 )
@@ -92,7 +93,8 @@ class Coordinator:
         self._rewards = RewardSums.none(team.agents)
         self._fence = EpochFence()
         self._last: ImitationEvent | None = None
-        self._failures = self._malformed = 0
+        self._failures = self._malformed = self._rounds_missed = 0
+        self._missed = ""
         self._patience = ANSWER_SECONDS
         self._reported = 0.0
         self._noise_free = NoiseFreeReward(config, team, control, options.run)
@@ -106,6 +108,14 @@ class Coordinator:
     def can_evaluate(self) -> bool:
         """Whether it leads a learner that trains, and knows workers that can evaluate its actors."""
         return self._leads and bool(self._workers) and self._now is not None and self._now.state == "training"
+
+    def note_missed(self, reason: str) -> None:
+        """Count a round of its population that was held without the learner, and raise an alarm.
+
+        Args:
+            reason: a sentence without its end.
+        """
+        self._rounds_missed, self._missed = self._rounds_missed + 1, reason
 
     def run(self, stop: StopSignal) -> Loop[None]:
         """Return the loop that coordinates until a stop signal comes or the run is finished."""
@@ -235,7 +245,12 @@ class Coordinator:
         return receipt is not None and receipt.done and not receipt.reason
 
     def evaluate(
-        self, event: int, plan: Plan, now: ProgressMessage, stop: StopSignal
+        self,
+        event: int,
+        plan: Plan,
+        now: ProgressMessage,
+        stop: StopSignal,
+        actors: ParametersMessage | None = None,
     ) -> Loop[tuple[RewardSums, int, int] | None]:
         """Return the rewards of noise-free episodes, the oldest version evaluated and the steps; None if abandoned.
 
@@ -244,8 +259,10 @@ class Coordinator:
             plan: the episodes.
             now: the learner's progress; once its epoch is another one, the evaluation is abandoned.
             stop: ends the wait.
+            actors: those that all workers evaluate; None for the newest that each of them has.
         """
-        farms, episodes = plan
+        version, flat = (now.version, None) if actors is None else (actors.version, actors.flat)
+        farms, _ = plan
         found: dict[int, Float32] = {}
         versions: list[int] = []
         silent: set[str] = set()
@@ -256,7 +273,7 @@ class Coordinator:
             missing = [index for index in range(len(farms)) if index not in found]
             shares = [missing[k :: len(workers)] for k in range(len(workers))]
             orders = [
-                Order(worker, share, EvaluationOrder(now.epoch, event, now.version, *_picked(share, farms, episodes)))
+                Order(worker, share, EvaluationOrder(now.epoch, event, version, *_picked(share, *plan), flat=flat))
                 for worker, share in zip(workers, shares, strict=True)
                 if share
             ]
@@ -316,9 +333,14 @@ class Coordinator:
             "elites": {name: int(np.argmax(omega)) for name, omega in zip(names, found, strict=False)},
             "scores": {name: omega.tolist() for name, omega in zip(names, found, strict=False)},
             **self._noise_free.report(),
-            "alarms": [self._fence.alarm] if self._fence.alarm else [],
+            "rounds_missed": self._rounds_missed,
+            "alarms": self._alarms(),
         }
         self._presence.report(values, 0 if self._now is None else self._now.version)
+
+    def _alarms(self) -> list[str]:
+        missed = f"rounds of its population that it missed: {self._rounds_missed}; the last one: {self._missed}."
+        return [*([self._fence.alarm] if self._fence.alarm else []), *([missed] if self._rounds_missed else [])]
 
     def _next_episode(self) -> int:
         """Return the episode at which the next event falls due; 0 where none does, or while agents share actors."""
@@ -326,8 +348,8 @@ class Coordinator:
         return 0 if now is None else self._schedule.after(now.separate_since).due_episode(now.events + 1) or 0
 
 
-def _picked(indices: Sequence[int], *columns: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    return (tuple(values[index] for index in indices) for values in columns)
+def _picked(indices: Sequence[int], farms: Sequence[int], episodes: Sequence[int]) -> Plan:
+    return tuple(farms[index] for index in indices), tuple(episodes[index] for index in indices)
 
 
 def serve(options: CoordinatorOptions) -> None:

@@ -126,7 +126,7 @@ def _read_arrays(
 
 
 def _read_optional(name: str, read: Reader, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
-    return read(scalars, arrays) if name in scalars or name in arrays else None
+    return read(scalars, arrays) if name in scalars or name in arrays or f"{name}.0" in arrays else None
 
 
 def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:

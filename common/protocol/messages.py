@@ -215,8 +215,9 @@ class EvaluationOrder(Message):
     Attributes:
         epoch: the learner's fencing epoch.
         event: number of the imitation event, or the round of a population, that needs them.
-        version: lowest parameter version with which the worker may fly them.
+        version: lowest parameter version with which the worker may fly them; with `flat`, the version of those.
         farms, episodes: farm and episode seeds, one of both for each episode.
+        flat: for each type, the actors to evaluate, as in ParametersMessage; left out for those that the worker has.
     """
 
     KIND = 9
@@ -225,6 +226,7 @@ class EvaluationOrder(Message):
     version: int
     farms: tuple[int, ...]
     episodes: tuple[int, ...]
+    flat: tuple[Float32, ...] | None = None
 
 
 @dataclass(frozen=True)

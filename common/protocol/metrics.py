@@ -257,6 +257,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("shared", "", "whether the agents of a type still share their actors, so that no event is due"),
         Metric("failures", "requests", "evaluation requests refused, answered wrongly or not in time"),
         Metric("malformed", "messages", "unreadable messages and tokens, dropped"),
+        Metric("rounds_missed", "rounds", "rounds of its population that were held without the learner"),
         Metric("leads", "", "whether it holds the learner's lease"),
         Metric("rate", "", "blend factor vartheta of the newest event"),
         Metric("elites/*", "", "index inside each type of the agent that now scores best"),

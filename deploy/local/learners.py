@@ -107,6 +107,8 @@ def meet_on_loopback(place: Place) -> None:
 def require_learners(config: RunConfig, learners: int, *, lockstep: bool) -> None:
     """Raise ConfigError where a run cannot have so many learners."""
     within(1, MOST_LEARNERS, learners=learners)
+    if config.population.members and lockstep:
+        raise ConfigError("a member of a population does not run in lockstep; leave --lockstep or --population out.")
     if learners == 1:
         return
     if config.population.members:

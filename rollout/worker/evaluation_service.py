@@ -17,7 +17,7 @@ MOST_FARMS = 256
 
 
 class EvaluationService:
-    """Answers the newest order as soon as the worker's parameters are new enough.
+    """Answers the newest order, with its own actors as soon as they are new enough, or with those of the order.
 
     Args:
         control: the control lane.
@@ -68,15 +68,21 @@ class EvaluationService:
         if store.actors is not None and order.epoch < store.epoch:
             incoming.refuse("the order comes from a learner that has been replaced.")
             return
-        if store.actors is None or (store.epoch, store.version) < (order.epoch, order.version):
+        needed = order.version if order.flat is None else 0
+        if store.actors is None or (store.epoch, store.version) < (order.epoch, needed):
             self._waiting = incoming
             return
+        actors, version = store.actors, store.version
         try:
-            reward, steps = run_noise_free_episodes(
-                self._config, store.actors, order.farms, order.episodes, self._cancelled
-            )
+            if order.flat is not None:
+                actors, version = store.with_parameters(order.flat), order.version
+        except ProtocolError as error:
+            incoming.refuse(str(error))
+            return
+        try:
+            reward, steps = run_noise_free_episodes(self._config, actors, order.farms, order.episodes, self._cancelled)
         except (CancelledError, EnvironmentOutageError) as error:
             incoming.refuse(str(error))
             return
         self.episodes += len(order.farms)
-        incoming.reply(EvaluationResult(order.event, store.version, reward, steps).encode())
+        incoming.reply(EvaluationResult(order.event, version, reward, steps).encode())

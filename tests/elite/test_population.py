@@ -19,6 +19,7 @@ from eia_sec.common.protocol.messages import (
     EvaluationOrder,
     EvaluationResult,
     ExploitMessage,
+    MetricMessage,
     ParametersMessage,
     ProgressMessage,
     ReceiptMessage,
@@ -54,6 +55,7 @@ class FakeMember:
         self.config = with_values(config, {"seed": number, "algorithm.actor_rate": 1e-3 * (1 + number)})
         self.rate, self.round, self.episodes, self.state = 1e-3 * (1 + number), 0, 0, "training"
         self.orders, self.told, self.refuses = [], [], 0
+        self.hangs, self.learns, self.steps, self.version = False, False, 0, 1
         self.toml = to_toml(self.config)
         self.flat = tuple(np.full((1, 5), number, np.float32) for _ in TEAM.groups)
         self.bus = held.enter_context(Bus.listen(self.endpoint, "control"))
@@ -63,7 +65,17 @@ class FakeMember:
         self._token = self.bus.announce(keys.LIVE.key(self.name, role="rollout", name="w"))
         self._progress = self.bus.publish_state(keys.PROGRESS.key(self.name), keys.PROGRESS.encoding)
         self._parameters = self.bus.publish_state(keys.PARAMETERS.key(self.name), keys.PARAMETERS.encoding)
-        self._parameters.put(ParametersMessage(4, 1, 0, 0, 0.0, TEAM.digest, 8, "gaussian", self.flat).encode())
+        self._metrics = self.bus.subscribe(keys.METRIC.pattern(self.name), 64)
+        self._publish(self.flat)
+
+    def _publish(self, flat):
+        message = ParametersMessage(4, self.version, 0, 0, 0.0, TEAM.digest, 8, "gaussian", flat)
+        self._parameters.put(message.encode())
+
+    def alarms(self):
+        """Return the newest alarms of the coordinator."""
+        found = [MetricMessage.decode(sample.payload).values["alarms"] for sample in self._metrics.drain()]
+        return found[-1] if found else []
 
     def turn(self):
         """Answer what has come, and tell the progress."""
@@ -72,9 +84,16 @@ class FakeMember:
                 command.reply(ConfigurationMessage(4, self.toml, TEAM.to_dict(), lockstep=False).encode())
             else:
                 command.reply(ReceiptMessage(True, "").encode())
-        for incoming in self._evaluations.waiting():
+        for incoming in () if self.hangs else self._evaluations.waiting():
             order = EvaluationOrder.decode(incoming.payload)
+            if not order.event:  # for those who watch the run
+                incoming.refuse("nobody watches.")
+                continue
             self.orders.append((order.event, order.farms, order.episodes))
+            assert [float(flat[0, 0]) for flat in order.flat] == [float(flat[0, 0]) for flat in self.flat]
+            if self.learns:
+                self.version += 1
+                self._publish(tuple(flat + 100.0 for flat in self.flat))
             reward = np.tile(np.array(self.worth, np.float32), (len(order.farms), 4, 1))
             steps = np.full(len(order.farms), 4, np.int64)
             incoming.reply(EvaluationResult(order.event, order.version, reward, steps).encode())
@@ -89,7 +108,7 @@ class FakeMember:
             self.told.append(event)
             self.round, self.rate = event.round, event.hyperparameters["actor_rate"]
             incoming.reply(ReceiptMessage(True, "").encode())
-        message = ProgressMessage(4, 1, 0, self.episodes, 0, 0, self.state)
+        message = ProgressMessage(4, self.version, 0, self.episodes, self.steps, 0, self.state)
         hyperparameters = {"actor_rate": self.rate}
         self._progress.put(replace(message, round=self.round, hyperparameters=hyperparameters).encode())
 
@@ -180,6 +199,7 @@ def test_a_round_that_the_weak_one_did_not_take_is_held_again(trial):
     for member in trial.members:
         member.episodes = 10
     trial.until(lambda: weak.refuses < 999_999, "two refusals")
+    weak.refuses = 1_000_000
     assert first.told == second.told == []
     trial.replace()
     weak.refuses = 0
@@ -218,6 +238,98 @@ def test_a_member_that_has_left_is_not_waited_for(trial, capsys):
     trial.until(lambda: seen.append(1) or len(seen) > 60, "turns")
     assert [event.round for event in first.told] == [2]
     assert capsys.readouterr().err.count("round 4 is due for member-0, and no other member is there.") == 1
+
+
+def test_the_actors_that_were_scored_are_imitated(trial):
+    """Not those that their learner has by the time at which the others are told."""
+    _, second, weak = trial.members
+    for member in trial.members:
+        member.episodes, member.learns = 10, True
+    trial.held(1, *trial.members)
+    assert second.version > 1
+    assert [float(flat[0, 0]) for flat in weak.told[0].flat] == [1.0, 0.0]
+
+
+def test_a_round_goes_on_without_who_is_not_scored(trial, monkeypatch, capsys):
+    """A member whose workers hang is left out of the round; log and alarm say so, and the next one asks it again."""
+    monkeypatch.setattr(population, "LATE_SECONDS", 1.0)
+    first, second, hung = trial.members
+    hung.hangs = True
+    for member in trial.members:
+        member.episodes = 10
+    trial.held(1, first, second)
+    assert (set(first.told[0].scores), hung.told) == ({"member-0", "member-1"}, [])
+    reason = "because it was not scored within 1 s"
+    assert f"round 1 goes on without member-2, {reason}." in capsys.readouterr().err
+    said = f"rounds of its population that it missed: 1; the last one: round 1 was held without it, {reason}."
+    trial.until(lambda: said in hung.alarms(), "the alarm")
+    hung.hangs = False
+    for member in trial.members:
+        member.episodes = 20
+    trial.held(2, *trial.members)
+    assert set(first.told[-1].scores) == {"member-0", "member-1", "member-2"}
+
+
+def test_a_round_that_is_left_with_one_member_is_not_held(monkeypatch, capsys):
+    """There is nobody to compare it with; the next round is held with both."""
+    monkeypatch.setattr(population, "LATE_SECONDS", 1.0)
+    with ExitStack() as held:
+        trial = Trial([FakeMember(number, (number, 1, 1), held) for number in range(2)])
+        try:
+            trial.members[0].hangs = True
+            for member in trial.members:
+                member.episodes = 10
+            told = []
+            trial.until(lambda: told.append(capsys.readouterr().err) or "not held" in "".join(told), "the log")
+            trial.members[0].hangs = False
+            for member in trial.members:
+                member.episodes = 20
+            trial.held(2, *trial.members)
+            assert [len(member.told) for member in trial.members] == [1, 1]
+        finally:
+            trial.end()
+
+
+def test_a_member_that_does_nothing_is_not_waited_for(trial, monkeypatch, capsys):
+    """Its learner answers, but no step comes; the others hold their rounds until it goes on."""
+    monkeypatch.setattr(population, "STALLED_SECONDS", 2.0)
+    first, second, stalled = trial.members
+    first.episodes = second.episodes = 10
+
+    def trains(*members):
+        def told():
+            for member in members:
+                member.steps += 1
+            return all(one.told for one in members)
+
+        trial.until(told, "a round")
+
+    trains(first, second)
+    assert set(first.told[0].scores) == {"member-0", "member-1"}
+    assert "member-2 has done nothing for 2 s; rounds do not wait for it." in capsys.readouterr().err
+    first.episodes = second.episodes = stalled.episodes = 20
+    trains(first, second, stalled)
+    assert set(stalled.told[0].scores) == {"member-0", "member-1", "member-2"}
+
+
+def test_who_refuses_a_round_does_not_hold_it_up(trial, monkeypatch, capsys):
+    """After some attempts it is held without that member, which is asked again in the next one."""
+    monkeypatch.setattr(population, "LEASE_SECONDS", 0.1)
+    first, second, weak = trial.members
+    weak.refuses = 1_000_000
+    for member in trial.members:
+        member.episodes = 10
+    trial.held(1, first, second)
+    assert weak.refuses == 1_000_000 - population.MOST_ATTEMPTS
+    assert (first.told[0].sources, second.told[0].sources) == (("member-1", ""), ("", ""))
+    said = capsys.readouterr().err
+    assert said.count("round 1 begins again, because member-2 could not be told.") == population.MOST_ATTEMPTS - 1
+    assert "round 1 goes on without member-2, because it could not be told in 3 attempts." in said
+    weak.refuses = 0
+    for member in trial.members:
+        member.episodes = 20
+    trial.held(2, *trial.members)
+    assert weak.told[0].sources == ("member-1", "member-0")
 
 
 @contextmanager

@@ -89,6 +89,7 @@ EXAMPLES = [
         level=np.ones((2, 2), np.float32),
         parts=np.zeros((2, 3, 7), np.float32),
     ),
+    EvaluationOrder(9, 1, 2, (3, 4), (5, 6), (np.ones((1, 2), np.float32), np.ones((2, 2), np.float32))),
 ]
 EXAMPLES.append(
     ExploitMessage(

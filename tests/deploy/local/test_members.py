@@ -186,6 +186,12 @@ def test_a_member_has_one_learner():
         require_learners(CONFIG, 2, lockstep=False)
 
 
+def test_a_member_does_not_run_in_lockstep():
+    """One that somebody starts without `eia-sec train` is refused as well."""
+    with pytest.raises(ConfigError, match="a member of a population does not run in lockstep"):
+        require_learners(CONFIG, 1, lockstep=True)
+
+
 def test_a_command_line_names_ranges():
     """LOW:HIGH each, and an option of a population needs one."""
 

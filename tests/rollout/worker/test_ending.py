@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from eia_sec.common.actors import TeamActors
@@ -239,6 +240,29 @@ def test_an_evaluation_is_given_up_when_the_time_is_over():
         with pytest.raises(BusError, match="given up"):
             answered(there, evaluations, order)
         assert len(asked) == 9
+
+
+def test_an_order_with_actors_is_answered_with_those():
+    """Whatever the worker itself has by then; those that do not fit are refused."""
+    farm = FarmConfig(world=WorldConfig(1, 1, 1, sensors=12, plots_x=4, plots_y=4, steps=6))
+    config, team = RunConfig(farm=farm), farm_team(farm)
+    store = PolicyStore(team)
+    own, others = TeamActors.initial(team, 4, 0), TeamActors.initial(team, 4, 1)
+    store.offer_parameters(ParametersMessage(1, 3, 0, 1, 0.0, team.digest, 4, own.head, own.flat))
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as here, Bus.connect(endpoint, "control", 10.0) as there:
+        evaluations = EvaluationService(here, config, "r", "0", store, lambda: False)
+
+        def rewards(flat, version):
+            order = EvaluationOrder(1, 1, version, (3,), (4,), flat)
+            return EvaluationResult.decode(answered(there, evaluations, order))
+
+        given, newest, same = rewards(others.flat, 9), rewards(None, 3), rewards(own.flat, 2)
+        assert (given.version, newest.version, same.version) == (9, 3, 2)
+        assert np.array_equal(newest.reward, same.reward)
+        assert not np.array_equal(given.reward, same.reward)
+        with pytest.raises(BusError, match="actors are float32"):
+            rewards(tuple(flat[:, 1:] for flat in own.flat), 3)
 
 
 def test_a_worker_has_the_arguments_that_its_learner_publishes(monkeypatch):
