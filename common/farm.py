@@ -122,7 +122,7 @@ def _group(farm: FarmConfig, name: str, count: int) -> GroupSpec:
         moves = NineMoves(_suggestion(names, marks), *hints)
         return GroupSpec(name, count, len(names), 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], *_relay_hints(farm, name, names))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], *_relay_hints(name, names))
         return GroupSpec(name, count, len(names), 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, len(names), 2, adapters)
 
@@ -139,13 +139,12 @@ def _task_hints(farm: FarmConfig, names: Sequence[str]) -> tuple[int, int]:
     return _both(_place(names, served), _place(names, nine_names("risk_any")[0]))
 
 
-def _relay_hints(farm: FarmConfig, name: str, names: Sequence[str]) -> tuple[int, int]:
+def _relay_hints(name: str, names: Sequence[str]) -> tuple[int, int]:
     """Return where a relay sees what moves do to D_c, which its reward is charged with, and the steps left; else -1.
 
     The changes of D_c add up to D_c at the end minus that at the start, so only the last steps count.
     """
-    reward = farm.reward
-    if name != COMMUNICATION or reward.positioning <= 0.0:
+    if name != COMMUNICATION:
         return -1, -1
     return _both(_place(names, nine_names("service")[0]), _place(names, f"left_{SOON}"))
 

@@ -34,9 +34,22 @@ _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a nu
 FORMAT: Final = 2
 """Number of the form of a saved configuration.
 
-It rises when an option is renamed, removed or means something else, when a new one's default is not what versions
-without it did, or when a default changes."""
+It rises when an option is renamed or means something else, when a new one's default is not what versions without it
+did, or when a default changes. An option that is gone is in GONE."""
 _FORMAT_KEY: Final = "format"
+GONE: Final[Mapping[str, int | float | str | list[float]]] = {
+    "farm.reward.positioning": 1.0,
+    "farm.reward.energy": 0.005,
+    "farm.reward.collision_risk": 5.0,
+    "farm.reward.boundary": 10.0,
+    "farm.reward.monitoring": 2.0,
+    "farm.reward.collection": 2.0,
+    "farm.dynamics.airspeed": [12.0],
+    "elite.rate_decay": 0.5,
+    "elite.cycle_growth": 2.0,
+    "replay.intake_chunks": 16,
+}
+"""Options of earlier releases that are constants now, with their values. Files may name them with these."""
 
 Value = bool | int | float | str | PluginNames | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
 """The value of an option."""
@@ -258,6 +271,7 @@ def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
     if _FORMAT_KEY in table:
         base, table = _without_maps(base), _of_this_format(table)
     require_loaded(table.get("plugins"))
+    _drop_gone(table)
     if isinstance(name := _name_in(table, "env"), str):
         base = base.with_environment(name)
     if isinstance(name := _name_in(table, "algorithm"), str):
@@ -286,6 +300,20 @@ def _of_this_format(table: dict[str, Any]) -> dict[str, Any]:
             f"this configuration has format {_show(table[_FORMAT_KEY])}, and this version reads {FORMAT}."
         )
     return {key: value for key, value in table.items() if key != _FORMAT_KEY}
+
+
+def _drop_gone(table: dict[str, Any]) -> None:
+    """Remove options that are constants now from a table; raise ConfigError where one has another value."""
+    for key, constant in GONE.items():
+        *sections, name = key.split(".")
+        found: Any = table
+        for section in sections:
+            found = found.get(section) if isinstance(found, dict) else None
+        if not isinstance(found, dict) or name not in found:
+            continue
+        value = found.pop(name)
+        if value != constant or isinstance(value, bool):
+            raise ConfigError(f"{key} is no option any more; it is always {_show(constant)}, not {_show(value)}.")
 
 
 def _name_in(table: Any, section: str) -> Any:

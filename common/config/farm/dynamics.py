@@ -1,7 +1,7 @@
 """How UAVs reach the velocities that are commanded: at once, or as an autopilot flies them."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 from eia_sec.common.config.checks import not_negative, positive
 from eia_sec.common.errors import ConfigError
@@ -30,12 +30,12 @@ class DynamicsConfig:
     rotorpy's multirotor best, see `research.benchmarks.dynamics` (ours)."""
     speed: tuple[float, ...] = (8.4,)
     """Top speed over ground along each axis, m/s; at 8.4 along both, PX4's MPC_XY_VEL_MAX of 12 m/s holds (ours)."""
-    airspeed: tuple[float, ...] = (12.0,)
+    airspeed: ClassVar[tuple[float, ...]] = (12.0,)
     """Top speed through the air along each axis, m/s (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse UAVs that cannot move, and numbers of no type."""
-        for name in ("acceleration", "jerk", "delay", "speed", "airspeed"):
+        for name in ("acceleration", "jerk", "delay", "speed"):
             numbers = getattr(self, name)
             if len(numbers) not in (1, TYPES):
                 raise ConfigError(f"dynamics.{name} must be one number, or one for each of the {TYPES} types.")

@@ -13,21 +13,21 @@ from eia_sec.common.config.checks import finite
 class RewardConfig:
     """Weights alpha_1 to alpha_10 of the reward."""
 
-    positioning: float = 1.0
+    positioning: ClassVar[float] = 1.0
     """alpha_1, weight by which a relay is paid for a smaller D_c, 1/m; the printed sign pays for flying away (W1)."""
-    energy: float = 0.005
+    energy: ClassVar[float] = 0.005
     """alpha_2, weight of the energy of the step, 1/J."""
-    collision_risk: float = 5.0
+    collision_risk: ClassVar[float] = 5.0
     """alpha_3, weight of the safety risk SR, 1/m."""
-    boundary: float = 10.0
+    boundary: ClassVar[float] = 10.0
     """alpha_4, weight of the boundary violation ACT."""
-    monitoring: float = 2.0
+    monitoring: ClassVar[float] = 2.0
     """alpha_5, weight of the visual monitoring utility VMUF."""
     monitoring_idle: ClassVar[float] = 0.5
     """alpha_6, penalty P_M of a step without imaging utility."""
     monitoring_motivation: ClassVar[float] = 0.2
     """alpha_7, weight of the VDF motivation M_V."""
-    collection: float = 2.0
+    collection: ClassVar[float] = 2.0
     """alpha_8, weight of the data collection utility DCUF."""
     collection_idle: ClassVar[float] = 0.5
     """alpha_9, penalty P_C of a step without collection utility."""
@@ -37,13 +37,5 @@ class RewardConfig:
     """Weight of what a relay's UAVs earn and would not without their links, where `relay.require_link` (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse weights that are not numbers."""
-        finite(
-            positioning=self.positioning,
-            energy=self.energy,
-            collision_risk=self.collision_risk,
-            boundary=self.boundary,
-            monitoring=self.monitoring,
-            collection=self.collection,
-            relayed=self.relayed,
-        )
+        """Refuse a weight that is no number."""
+        finite(relayed=self.relayed)

@@ -83,7 +83,6 @@ def test_relays_are_hinted_at_what_lowers_their_service_distance():
     )
     assert names[relays.time_left] == "left_25"
     for farm in (
-        replace(default, reward=replace(default.reward, positioning=0.0)),
         replace(default, observation=replace(default.observation, service=False)),
         replace(default, observation=replace(default.observation, phases=False)),
     ):

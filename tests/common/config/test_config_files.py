@@ -54,7 +54,7 @@ def test_round_trip_of_any_value(seed, weight, text, cycles, flag, sites):
         seed=seed,
         farm=FarmConfig(
             world=WorldConfig(sensor_cycles=tuple(cycles), sites=tuple(sites), sensors=len(sites)),
-            reward=RewardConfig(boundary=weight),
+            reward=RewardConfig(relayed=weight),
         ),
         algorithm=EiaSecConfig(ensemble=flag),
         env=EnvConfig(arguments=json.dumps({"text": text}, ensure_ascii=False)),
@@ -140,6 +140,8 @@ REFUSED = [
     ("[algorithm]\nbatch = 0", "in [algorithm], batch must be between 1 and 65536, not 0."),
     ("[algorithm]\ncritic_rate = nan", "in [algorithm], critic_rate must be above 0, not nan."),
     ("[farm.relay]\ncapacity = 1", "in [farm], relay.capacity 1 times 4 relays cannot serve 8 UAVs."),
+    ("[replay]\nintake_chunks = true", "replay.intake_chunks is no option any more; it is always 16, not true."),
+    ("[farm.dynamics]\nairspeed = 9", "farm.dynamics.airspeed is no option any more; it is always [12.0], not 9."),
 ]
 
 

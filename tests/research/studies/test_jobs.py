@@ -248,7 +248,7 @@ def budget(config):
 @pytest.mark.parametrize("farms", [1, 4, 20])
 def test_imitation_pays_for_its_evaluations(episodes, farms):
     """The budget holds, and one more batch of training episodes would break it."""
-    base = replace(FULL.base(), elite=EliteConfig(cycle=10, cycle_growth=2.0, farms=farms))
+    base = replace(FULL.base(), elite=EliteConfig(cycle=10, farms=farms))
     config = configuration(base, EIA_SEC, "as the preset", 0, episodes)
     batch = base.rollout.environments
     assert config.episodes == training_episodes(config, episodes)

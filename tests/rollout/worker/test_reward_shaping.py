@@ -12,6 +12,7 @@ from eia_sec.common.farm import farm_team
 from eia_sec.common.transitions import TRANSITION
 from eia_sec.rollout.sim.batch import REWARD_PARTS
 from eia_sec.rollout.worker.collector import Collector, run_noise_free_episodes
+from tests.constants import with_constants
 from tests.rollout.heuristics.small_farm import SMALL
 
 STEPS = 40
@@ -37,7 +38,7 @@ class Witness:
 def configured(discount, seconds=1.0, relays=2, chunk=STEPS, threads=1, **reward):
     """Return a run on a small farm with episodes of 15 steps."""
     world = replace(SMALL.world, steps=15, step_seconds=seconds, communication_uavs=relays)
-    farm = replace(SMALL, world=world, reward=RewardConfig(**reward))
+    farm = replace(SMALL, world=world, reward=with_constants(RewardConfig(), **reward))
     rollout = RolloutConfig(environments=2, chunk_steps=chunk, threads=threads)
     return RunConfig(farm=farm, rollout=rollout, algorithm=EiaSecConfig(hidden=4, potential_discount=discount))
 

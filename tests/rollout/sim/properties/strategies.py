@@ -8,14 +8,14 @@ import typing
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 from unittest.mock import patch
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
-from eia_sec.common.config import DynamicsConfig, FarmConfig, WorldConfig
+from eia_sec.common.config import DynamicsConfig, FarmConfig, RewardConfig, WorldConfig
 from eia_sec.common.team import Float32
 from eia_sec.rollout.sim import batch
 from eia_sec.rollout.sim.core.cells import cell_counts
@@ -93,9 +93,8 @@ CONSTANTS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
         "image_distance": st.sampled_from([4.1237, 19.1357, 25.3712, 40.7172, 120.0, 1000.0]),
         "plot_threshold": st.sampled_from([0.0, 0.3, 0.75, 1.0]),
     },
-    "reward": dict.fromkeys(
-        ("monitoring_idle", "monitoring_motivation", "collection_idle", "collection_motivation"), SIGNED
-    ),
+    "reward": {name: SIGNED for name, kind in typing.get_type_hints(RewardConfig).items() if kind == ClassVar[float]},
+    "dynamics": {"airspeed": st.sampled_from([(12.0,), (12.0, 5.0, 40.0)])},
 }
 """Constants that are no options, by section."""
 
@@ -148,13 +147,11 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
     """Return strategies for the numbers of the other sections that decide what happens."""
     served = world.monitoring_uavs + world.collection_uavs
     least = -(-served // world.communication_uavs)
-    weights = typing.get_type_hints(sections()["reward"]).items()
     return {
         "relay": {
             "capacity": st.one_of(st.just(0), st.integers(least, least + 4)),
             "link_range": st.sampled_from([30.0, 61.5, 150.0]),
         },
-        "reward": {name: SIGNED for name, kind in weights if kind is float and name not in APART},
         "observation": {
             "sensors": st.one_of(st.integers(1, min(10, world.sensors)), st.just(world.sensors)),
             "window": st.sampled_from([1, 3, 3, 5, 9]),
@@ -166,7 +163,6 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
             "jerk": st.sampled_from([(4.0,), (50.0,), (1.0, 4.0, 8.0)]),
             "delay": st.sampled_from([(0.0,), (0.2,), (0.25, 0.0, 0.1)]),
             "speed": st.sampled_from([(8.4,), (30.0, 3.0, 8.4)]),
-            "airspeed": st.sampled_from([(12.0,), (12.0, 5.0, 40.0)]),
         },
         "control": {name: st.sampled_from([0.01, 0.36, 0.5, 0.5]) for name in ("monitoring_inset", "collection_inset")},
     }

@@ -19,7 +19,7 @@ SMALL = worlds(st.integers(1, 5), 60)
 
 def countable(config: FarmConfig) -> FarmConfig:
     """Return the farm with weights whose sums are exact in float32."""
-    return replace(config, reward=replace(config.reward, monitoring=2.0, collection=0.5))
+    return replace(config, reward=with_constants(config.reward, collection=0.5))
 
 
 FARMS = farm_configs(SMALL).map(countable)
