@@ -4,6 +4,7 @@ import re
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import free_endpoint
 from eia_sec.elite import population
 from eia_sec.elite.evaluation_plan import population_plan
-from eia_sec.elite.population import Population
+from eia_sec.elite.population import Member, Population
 from eia_sec.elite.service import CoordinatorOptions
 from tests.system.fleet import until
 
@@ -290,25 +291,37 @@ def test_a_round_that_is_left_with_one_member_is_not_held(monkeypatch, capsys):
             trial.end()
 
 
-def test_a_member_that_does_nothing_is_not_waited_for(trial, monkeypatch, capsys):
+def test_a_member_that_does_nothing_is_noticed(monkeypatch, capsys):
+    """A step, an update or an evaluation is a sign of life; the log says once when there is none, and when there is."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(population, "monotonic", lambda: clock.now)
+    member = Member("m", None, CONFIG, TEAM, SimpleNamespace(subscribe_state=lambda key: None))
+
+    def moves(seconds, steps, updates=0):
+        clock.now += seconds
+        return member.moves(ProgressMessage(4, 1, 0, 0, steps, updates, "training"))
+
+    assert all(moves(200.0, steps, updates) for steps, updates in ((1, 0), (2, 0), (2, 1)))
+    assert moves(299.0, 2, 1)
+    member.note_alive()
+    assert moves(299.0, 2, 1)
+    assert capsys.readouterr().err == ""
+    assert [moves(2.0, 2, 1), moves(500.0, 2, 1), moves(1.0, 3, 1)] == [False, False, True]
+    said = capsys.readouterr().err
+    assert said.count("m has done nothing for 300 s; rounds do not wait for it.") == said.count("m goes on.") == 1
+
+
+def test_a_member_that_does_nothing_is_not_waited_for(trial, monkeypatch):
     """Its learner answers, but no step comes; the others hold their rounds until it goes on."""
-    monkeypatch.setattr(population, "STALLED_SECONDS", 2.0)
     first, second, stalled = trial.members
+    asleep = {stalled.name}
+    monkeypatch.setattr(Member, "moves", lambda member, now: member.name not in asleep)
     first.episodes = second.episodes = 10
-
-    def trains(*members):
-        def told():
-            for member in members:
-                member.steps += 1
-            return all(one.told for one in members)
-
-        trial.until(told, "a round")
-
-    trains(first, second)
+    trial.held(1, first, second)
     assert set(first.told[0].scores) == {"member-0", "member-1"}
-    assert "member-2 has done nothing for 2 s; rounds do not wait for it." in capsys.readouterr().err
+    asleep.clear()
     first.episodes = second.episodes = stalled.episodes = 20
-    trains(first, second, stalled)
+    trial.held(2, *trial.members)
     assert set(stalled.told[0].scores) == {"member-0", "member-1", "member-2"}
 
 
