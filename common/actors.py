@@ -15,9 +15,9 @@ updated in place by every decision.
 A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANGE. Its noise-free action is tanh(m), and
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 
-A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
-of each branch. Its noise-free action is the legal option with the largest logit, and `eia_sec.common.actions.sampling`
-samples.
+A type with discrete actions has one output for each option of each branch, whatever the team's head is: with a
+Gaussian head its logit, else its value. Its noise-free action is the legal option with the largest output.
+`eia_sec.common.actions.sampling` samples by logits, and explores by values.
 
 Networks of a plug-in (`eia_sec.common.modules`) stand in place of perceptrons; their parameters are rows of the same
 arrays, their outputs mean the same.
@@ -31,7 +31,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from eia_sec.common.actions.sampling import best_options, sample_options, sample_squashed
+from eia_sec.common.actions.sampling import best_options, epsilon_greedy, sample_options, sample_squashed
 from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.gru import Memory, next_state, unit_shapes
@@ -233,8 +233,8 @@ class TeamActors:
 
     @property
     def draws(self) -> bool:
-        """Whether all actors have a distribution to draw actions from."""
-        return self.head == "gaussian" or all(group.choices for group in self.team.groups)
+        """Whether the actors have a distribution to draw actions from."""
+        return self.head == "gaussian"
 
     def noise_free(self) -> "TeamActors":
         """Return actors that act as these do without noise; Gaussian heads of perceptrons become deterministic."""
@@ -290,6 +290,21 @@ class TeamActors:
             scale = np.exp(np.clip(head[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1])))
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
+
+    def explore_options(self, observations: Float32, uniform: Float32, epsilon: float) -> Float32:
+        """Return the discrete actions of all agents, of which some are drawn at random.
+
+        Args:
+            observations: rows [E, O] float32.
+            uniform: rows [E, A] float32, uniform over [0, 1).
+            epsilon: share of the options that are drawn among all legal ones, 0..1.
+
+        Returns:
+            rows [E, A] float32, indices of options.
+        """
+        parts = zip(self.outputs(observations), self.team.split_actions(uniform), strict=True)
+        found = [epsilon_greedy(group, own, values, draw, epsilon) for (group, own, values), draw in parts]
+        return np.concatenate([action.reshape(len(observations), -1) for action in found], axis=1)
 
     def sample(
         self, observations: Float32, normal: Float32, uniform: Float32, state: Float32 | None = None

@@ -124,7 +124,7 @@ class Rows:
                 raise SchemaError(f"{name} holds a number that is not finite or larger than {LARGEST:g}.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags do not form whole segments.")
-        self._check_actions(team)
+        check_actions(self.action, team)
         self._check_state(team, memory)
 
     def _check_state(self, team: TeamSpec, memory: int) -> None:
@@ -142,17 +142,19 @@ class Rows:
             raise SchemaError(f"the actors' state holds a number that is not finite or larger than {MOST_STATE}.")
         self.steps_by_environment()
 
-    def _check_actions(self, team: TeamSpec) -> None:
-        if not any(group.choices for group in team.groups):
-            if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:
+
+def check_actions(rows: Float32, team: TeamSpec) -> None:
+    """Raise SchemaError unless actions, rows [R, A], are in [-1, 1] or indices of options."""
+    if not any(group.choices for group in team.groups):
+        if rows.size and not -1.0 <= rows.min() <= rows.max() <= 1.0:
+            raise SchemaError("an action lies outside [-1, 1].")
+        return
+    for group, action in zip(team.groups, team.split_actions(rows), strict=True):
+        if not group.choices:
+            if not (np.abs(action) <= 1.0).all():
                 raise SchemaError("an action lies outside [-1, 1].")
-            return
-        for group, action in zip(team.groups, team.split_actions(self.action), strict=True):
-            if not group.choices:
-                if not (np.abs(action) <= 1.0).all():
-                    raise SchemaError("an action lies outside [-1, 1].")
-            elif not ((action >= 0) & (action < np.array(group.choices)) & (action == np.floor(action))).all():
-                raise SchemaError(f"a {group.name} action is not the index of an option.")
+        elif not ((action >= 0) & (action < np.array(group.choices)) & (action == np.floor(action))).all():
+            raise SchemaError(f"a {group.name} action is not the index of an option.")
 
 
 def _in_range(array: Seen) -> bool:

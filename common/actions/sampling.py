@@ -77,6 +77,29 @@ def sample_options(
     return np.stack(chosen, axis=-1).astype(np.float32), log_probability
 
 
+def epsilon_greedy(
+    group: GroupSpec, observation: Float32, values: Float32, uniform: Float32, epsilon: float
+) -> Float32:
+    """Choose the best legal option of each branch, or with probability epsilon any legal one.
+
+    Args:
+        group: a type with discrete actions.
+        observation: [..., o_v].
+        values: [..., group.options] the options' values.
+        uniform: [..., a_v] uniform over [0, 1). Below epsilon it stands for chance, and says which option.
+        epsilon: 0..1.
+
+    Returns:
+        indices [..., a_v] float32.
+    """
+    best = best_options(group, observation, values)
+    if epsilon <= 0.0:
+        return best
+    drawn, _ = sample_options(group, observation, np.zeros_like(values), uniform / np.float32(epsilon))
+    chosen: Float32 = np.where(uniform < np.float32(epsilon), drawn, best)
+    return chosen
+
+
 def last_possible(weight: Float32) -> "np.ndarray[tuple[int, ...], np.dtype[np.intp]]":
     """Return the last option with a positive weight; rounding may put a threshold behind it."""
     found: np.ndarray[tuple[int, ...], np.dtype[np.intp]]

@@ -13,6 +13,9 @@ from eia_sec.common.config.algorithms import (
     Matd3Config,
     OffPolicyConfig,
     OnPolicyConfig,
+    QmixConfig,
+    ValueDecompositionConfig,
+    VdnConfig,
 )
 from eia_sec.common.config.algorithms.network import NetworkConfig
 from eia_sec.common.config.environment import EnvConfig
@@ -65,6 +68,7 @@ __all__ = [
     "OffPolicyConfig",
     "OnPolicyConfig",
     "PopulationConfig",
+    "QmixConfig",
     "RadioConfig",
     "RelayConfig",
     "ReplayConfig",
@@ -72,6 +76,8 @@ __all__ = [
     "RolloutConfig",
     "RunConfig",
     "StressConfig",
+    "ValueDecompositionConfig",
+    "VdnConfig",
     "WindConfig",
     "WorldConfig",
     "ZoneConfig",

@@ -42,8 +42,9 @@ def without_effect(config: RunConfig, key: str) -> str | None:
     if section in OPTIONAL_SECTIONS and section not in config.algorithm.sections:
         return _sentence(key, name, [other for other, kind in ALGORITHM_CONFIGS.items() if section in kind.sections])
     field = field.partition(".")[0]
-    if section == "algorithm" and not hasattr(config.algorithm, field):
-        owners = [other for other, kind in ALGORITHM_CONFIGS.items() if field in {f.name for f in fields(kind)}]
+    if section == "algorithm" and (not hasattr(config.algorithm, field) or field in config.algorithm.unread):
+        kinds = ALGORITHM_CONFIGS.items()
+        owners = [other for other, kind in kinds if field in {f.name for f in fields(kind)} - {*kind.unread}]
         return _sentence(key, name, owners) if owners else None
     return None
 

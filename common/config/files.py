@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS
+from eia_sec.common.config.algorithms import ALGORITHM_CONFIGS, AlgorithmConfig
 from eia_sec.common.config.algorithms.network import NetworkConfig, network_named
 from eia_sec.common.config.effect import without_effect
 from eia_sec.common.config.environment import EnvConfig
@@ -71,7 +71,7 @@ _BUDGETS: Final = ("episodes", "steps")
 def flatten(config: Any) -> dict[str, Value]:
     """Return every field of a nested configuration by its dotted key, in the order of declaration.
 
-    Sections that the algorithm does not read are left out.
+    Sections and options that the algorithm does not read are left out.
     """
     return {f"{section}.{name}" if section else name: value for section, name, value in _options(config)}
 
@@ -87,6 +87,7 @@ def plain_options(config: RunConfig) -> dict[str, bool | float | str]:
 def _options(config: Any, prefix: str = "") -> Iterator[tuple[str, str, Value]]:
     """Yield the section, name and value of every field of a nested configuration, and of every entry of its maps."""
     unused = config.unused_sections if isinstance(config, RunConfig) else ()
+    unused = config.unread if isinstance(config, AlgorithmConfig) else unused
     for field in dataclasses.fields(config):
         value, inner = getattr(config, field.name), f"{prefix}.{field.name}" if prefix else field.name
         if field.name in unused:

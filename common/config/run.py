@@ -10,6 +10,7 @@ from eia_sec.common.config.algorithms import (
     IppoConfig,
     OffPolicyConfig,
     OnPolicyConfig,
+    ValueDecompositionConfig,
     switched,
 )
 from eia_sec.common.config.algorithms.network import NetworkConfig
@@ -241,18 +242,22 @@ class RunConfig:
         return isinstance(self.algorithm, OnPolicyConfig) and self.algorithm.bfloat16_observations
 
     def exploration_at(self, progress: float, environment_steps: int) -> tuple[float, bool]:
-        """Return the exploration noise of off-policy algorithms; those that learn on policy sample without any.
+        """Return how off-policy algorithms explore; those that learn on policy sample from their actors.
 
         Args:
             progress: finished share of the run.
             environment_steps: environment steps that the learner has accepted.
 
         Returns:
-            the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up).
+            the noise's standard deviation, or epsilon where values of options are learned; and whether actions are
+            drawn uniformly instead (warm-up).
         """
         if self.learns_on_policy:
             return 0.0, False
-        return self.exploration.noise_std(progress), environment_steps < self.replay.warmup_steps
+        uniform = environment_steps < self.replay.warmup_steps
+        if isinstance(self.algorithm, ValueDecompositionConfig):
+            return self.algorithm.epsilon(progress), uniform
+        return self.exploration.noise_std(progress), uniform
 
     @property
     def memory(self) -> Memory:

@@ -465,7 +465,7 @@ class ViewMessage(Message):
         episode: the episode's seed.
         first: step of the first frame.
         skipped: steps of this farm, flown while somebody watched, that were not published.
-        noise_std: standard deviation of the exploration noise.
+        noise_std: standard deviation of the exploration noise, or epsilon where options are chosen by value.
         uniform: whether actions were drawn uniformly instead (warm-up).
         position: [F, n, 2] m.
         assignment: [F, n_m + n_d] relay of each served UAV; 255 for none.
@@ -512,7 +512,7 @@ class StepsMessage(Message):
         episode: the episode's seed.
         first: step of the first frame; 0 is the state after the reset.
         skipped: steps of this environment, done while somebody watched, that were not published.
-        noise_std: standard deviation of the exploration noise.
+        noise_std: standard deviation of the exploration noise, or epsilon where options are chosen by value.
         uniform: whether actions were drawn uniformly instead (warm-up).
         reward: [F, agents] rewards of each step.
         action: [F, A] actions that led to each frame, in the environment's units, or indices of options; 0 in step 0.

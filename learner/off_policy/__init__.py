@@ -1,1 +1,1 @@
-"""Learning from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3 and MASAC."""
+"""Learning from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3, MASAC, VDN and QMIX."""

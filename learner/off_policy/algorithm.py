@@ -1,7 +1,7 @@
 """The interface of off-policy algorithms, and the steps that they share.
 
 An algorithm is one class in a file of this folder: its networks, and one update of all of them from a batch of replay.
-The engine calls
+Those with critics derive from `ActorCritic`. The engine calls
 
     for number in itertools.count(1):
         algorithm.update(batch, noise, actor_step=number % period == 0, diagnostics=False)
@@ -63,10 +63,11 @@ class Diagnostics(NamedTuple):
         temperature: alpha [agents].
         log_probability: log pi of the actions that the actors sampled, mean over the batch [agents].
         entropy_regularised: whether values and targets include entropy, so that they do not compare with rewards.
+        of_team: whether values and targets are of the mean of all agents' rewards; each agent then has the same.
     """
 
     td_error: Tensor
-    objective: Tensor
+    objective: Tensor | None
     target: Tensor
     q_value: Tensor
     critic_gradient_norm: Tensor | None = None
@@ -77,6 +78,7 @@ class Diagnostics(NamedTuple):
     temperature: Tensor | None = None
     log_probability: Tensor | None = None
     entropy_regularised: bool = False
+    of_team: bool = False
 
 
 class Algorithm(ABC, Generic[C]):
@@ -91,31 +93,25 @@ class Algorithm(ABC, Generic[C]):
 
     Attributes:
         head: kind of the actors' last layer.
-        critics_each: critics of one agent.
-        objective_critics: how many of these the actors' objective takes.
+        shared_actors: whether the agents of a type share one actor.
         noise_blocks: standard normal numbers that an update takes, in action layouts.
         actors: all actors and their targets.
-        critics: the agents' own critics and their targets.
     """
 
     head: ClassVar[Head] = "deterministic"
-    critics_each: ClassVar[int] = 1
-    objective_critics: ClassVar[int] = 1
+    shared_actors: ClassVar[bool] = False
     noise_blocks: ClassVar[int] = 0
 
     def __init__(self, config: C, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         self.config, self.team = config, team
         self._inputs, self._next_inputs = (Inputs(team, config.batch, config.joint_critics, like) for _ in range(2))
-        target = self.has_target_actors()
-        self.actors = Actors(config, team, seed, like, head=self.head, target=target, cores=cores)
-        counts = {"each": self.critics_each, "objective": self.objective_critics}
-        self.critics = Critics(config, team, seed, like, **counts, cores=cores)
+        target, shared = self.has_target_actors(), self.shared_actors
+        self.actors = Actors(config, team, seed, like, head=self.head, shared=shared, target=target, cores=cores)
 
     def retune(self, config: C) -> None:
         """Go on with other values of the options that are `live`."""
         self.config = config
         self.actors.set_rate(config.actor_rate)
-        self.critics.set_rate(config.critic_rate)
 
     def has_target_actors(self) -> bool:
         """Return whether target actors choose the next actions."""
@@ -139,7 +135,7 @@ class Algorithm(ABC, Generic[C]):
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name, float and integer tensors that are changed in place."""
-        return self.actors.tensors("actors") | self.critics.tensors("critics")
+        return self.actors.tensors("actors")
 
     def inputs(self, batch: Batch) -> tuple[Inputs, Inputs]:
         """Return the networks' inputs of the batch, and those of what followed, where no action is known yet."""
@@ -151,11 +147,45 @@ class Algorithm(ABC, Generic[C]):
         return torch.addcmul(batch.reward.t() * self.config.reward_scale, next_value, continuation)
 
     def critic_loss(self, q: Tensor, target: Tensor) -> Tensor:
-        """Return the loss [] of critics whose values are q, [agents, B] or [critics, agents, B], for Y [agents, B]."""
+        """Return the loss [] of values q, [agents, B] or [critics, agents, B], for their targets Y [agents, B]."""
         return (q - target).square().mean(dim=-1).sum()
 
+
+class ActorCritic(Algorithm[C]):
+    """An algorithm with critics beside its actors.
+
+    Args:
+        config: its configuration.
+        team: the layout of the team.
+        seed: seed of the run, from which every initialisation follows.
+        like: a tensor of the wanted device and type.
+        cores: processor cores for the compiled kernels; 0 to compute by torch.
+
+    Attributes:
+        critics_each: critics of one agent.
+        objective_critics: how many of these the actors' objective takes.
+        critics: the agents' own critics and their targets.
+    """
+
+    critics_each: ClassVar[int] = 1
+    objective_critics: ClassVar[int] = 1
+
+    def __init__(self, config: C, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
+        super().__init__(config, team, seed, like, cores=cores)
+        counts = {"each": self.critics_each, "objective": self.objective_critics}
+        self.critics = Critics(config, team, seed, like, **counts, cores=cores)
+
+    def retune(self, config: C) -> None:
+        """See `Algorithm`."""
+        super().retune(config)
+        self.critics.set_rate(config.critic_rate)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """See `Algorithm`."""
+        return super().tensors() | self.critics.tensors("critics")
+
     def measured(self, q_value: Tensor, objective: Tensor, target: Tensor) -> Diagnostics:
-        """Return the diagnostics that all algorithms have, after the update's steps; arguments are [agents, B]."""
+        """Return the diagnostics that all of them have, after the update's steps; arguments are [agents, B]."""
         q_value, objective = q_value.detach(), objective.detach()
         critic_norms = self.critics.norms.view(self.critics.each, -1).mean(dim=0)
         return Diagnostics(q_value - target, objective, target, q_value, critic_norms, self.actors.norms)

@@ -140,7 +140,7 @@ class RunningDiagnostics:
         """Add the diagnostics of one update to the running means."""
         rows = {
             "critic_loss": diagnostics.td_error.square().mean(dim=1),
-            "actor_objective": diagnostics.objective.mean(dim=1),
+            "actor_objective": None if diagnostics.objective is None else diagnostics.objective.mean(dim=1),
             "target_mean": diagnostics.target.mean(dim=1),
             "critic_error": diagnostics.td_error.abs().mean(dim=1),
             "q_mean": diagnostics.q_value.mean(dim=1),
@@ -161,6 +161,8 @@ class RunningDiagnostics:
             return
         rows = torch.from_numpy(chosen).to(returns.device)
         realised = returns.index_select(0, rows).mean(dim=0)
+        if diagnostics.of_team:
+            realised = realised.mean().expand_as(realised)
         value = diagnostics.q_value.float().index_select(1, rows).mean(dim=1)
         over = None if diagnostics.entropy_regularised else value - realised
         self._take({"realised_return": realised, "overestimation": over}, RETURN_SHARE)

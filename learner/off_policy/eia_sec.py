@@ -31,12 +31,12 @@ from torch import Tensor
 
 from eia_sec.common.config import EiaSecConfig
 from eia_sec.common.team import TeamSpec
-from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
+from eia_sec.learner.off_policy.algorithm import ActorCritic, Batch, Diagnostics
 from eia_sec.learner.off_policy.ensemble import Ensemble
 from eia_sec.learner.off_policy.inputs import Inputs
 
 
-class EiaSec(Algorithm[EiaSecConfig]):
+class EiaSec(ActorCritic[EiaSecConfig]):
     """EIA-SEC, or without its ensemble; the module gives its equations.
 
     Attributes:

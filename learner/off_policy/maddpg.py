@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from eia_sec.common.config import MaddpgConfig
-from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
+from eia_sec.learner.off_policy.algorithm import ActorCritic, Batch, Diagnostics
 
 
-class Maddpg(Algorithm[MaddpgConfig]):
+class Maddpg(ActorCritic[MaddpgConfig]):
     """MADDPG; the module gives its equations."""
 
     def has_target_actors(self) -> bool:

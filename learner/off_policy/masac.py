@@ -29,7 +29,7 @@ from eia_sec.common.actors import LOG_STD_RANGE
 from eia_sec.common.config import MasacConfig
 from eia_sec.common.team import TeamSpec
 from eia_sec.learner.networks.adam import Adam
-from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
+from eia_sec.learner.off_policy.algorithm import ActorCritic, Batch, Diagnostics
 from eia_sec.learner.off_policy.inputs import Inputs
 from eia_sec.learner.off_policy.trained import ADAM_EPSILON
 
@@ -46,7 +46,7 @@ class ActionSample(NamedTuple):
     log_probability: Tensor
 
 
-class Masac(Algorithm[MasacConfig]):
+class Masac(ActorCritic[MasacConfig]):
     """MASAC; the module gives its equations."""
 
     head = "gaussian"

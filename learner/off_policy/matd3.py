@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from eia_sec.common.config import Matd3Config
-from eia_sec.learner.off_policy.algorithm import Algorithm, Batch, Diagnostics
+from eia_sec.learner.off_policy.algorithm import ActorCritic, Batch, Diagnostics
 
 
-class Matd3(Algorithm[Matd3Config]):
+class Matd3(ActorCritic[Matd3Config]):
     """MATD3; the module gives its equations."""
 
     critics_each = 2

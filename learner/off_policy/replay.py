@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from eia_sec.common.errors import CheckpointError, ConfigError, EiaSecError
+from eia_sec.common.errors import CheckpointError, ConfigError, EiaSecError, SchemaError
 from eia_sec.common.team import Float32, TeamSpec
-from eia_sec.common.transitions import TERMINATED, TRANSITION, Rows, Seen
+from eia_sec.common.transitions import TERMINATED, TRANSITION, Rows, Seen, check_actions
 from eia_sec.learner.checkpoint.tensor_snapshot import Frozen
 from eia_sec.learner.off_policy import replay_kernels
 from eia_sec.learner.off_policy.engine import Batch
@@ -53,7 +53,7 @@ class Replay:
     """
 
     def __init__(self, team: TeamSpec, capacity: int, device: str = "cpu") -> None:
-        self.capacity, self._device = capacity, torch.device(device)
+        self.capacity, self._device, self._team = capacity, torch.device(device), team
         self.observation = torch.zeros(capacity, team.observation_size, device=device)
         self.action = torch.zeros(capacity, team.action_size, device=device)
         self.reward = torch.zeros(capacity, team.agents, device=device)
@@ -233,6 +233,10 @@ class Replay:
             raise CheckpointError("a row that may be drawn from the replay buffer holds no step.")
         if not all(torch.isfinite(tensors[name]).all() for name in LARGE):
             raise CheckpointError("the replay buffer holds a number that is not finite.")
+        try:
+            check_actions(tensors["action"].numpy(), self._team)
+        except SchemaError as error:
+            raise CheckpointError(f"in the replay buffer {error}") from error
         return counts, used
 
 

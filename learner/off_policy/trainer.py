@@ -1,4 +1,4 @@
-"""Training from a replay buffer: the trainer of EIA-SEC as the paper describes it, MADDPG, MATD3 and MASAC."""
+"""Training from a replay buffer: the trainer of all algorithms that learn off policy."""
 
 import math
 from typing import Any, Final
@@ -37,7 +37,7 @@ class OffPolicyTrainer(Trainer):
         team: the layout of the team.
 
     Raises:
-        ConfigError: when the configured device does not exist, or a type has discrete actions.
+        ConfigError: when the configured device does not exist.
 
     Attributes:
         engine: the networks and their updates.

@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402  (the variables above count only before numpy i
 import torch  # noqa: E402  (as above)
 from torch import Tensor  # noqa: E402  (as above)
 
-from eia_sec.common.config import OffPolicyConfig  # noqa: E402  (as above)
+from eia_sec.common.config import ALGORITHM_CONFIGS, OffPolicyConfig  # noqa: E402  (as above)
 from eia_sec.common.config.files import with_values  # noqa: E402  (as above)
 from eia_sec.common.config.presets import preset  # noqa: E402  (as above)
 from eia_sec.common.farm import farm_team  # noqa: E402  (as above)
@@ -29,6 +29,8 @@ from eia_sec.learner.off_policy.algorithm import Batch  # noqa: E402  (as above)
 from eia_sec.learner.off_policy.engine import Engine  # noqa: E402  (as above)
 from eia_sec.learner.registry import OFF_POLICY  # noqa: E402  (as above)
 
+KNOWN = [name for name in OFF_POLICY if ALGORITHM_CONFIGS[name].continuous_actions]
+"""Algorithms that train the farm of the paper, whose actions are continuous."""
 BURST = 2
 CORES = {"kernels": 1, "torch": 0}
 """What computes, by the number of cores that it takes for compiled kernels."""
@@ -70,7 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m research.benchmarks.kernels", description="Time of one update by kernels and by torch."
     )
-    parser.add_argument("--algorithms", nargs="+", default=list(OFF_POLICY), choices=list(OFF_POLICY))
+    parser.add_argument("--algorithms", nargs="+", default=KNOWN, choices=KNOWN)
     parser.add_argument("--widths", type=int, nargs="+", default=[preset("eia-sec").algorithm.hidden])
     parser.add_argument("--updates", type=int, default=300)
     options = parser.parse_args()

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, closing, nullcontext
 from typing import Final
 
 from eia_sec.common.config import FarmConfig, RunConfig
-from eia_sec.common.config.action_kinds import discrete_algorithms
+from eia_sec.common.config.action_kinds import continuous_algorithms, discrete_algorithms
 from eia_sec.common.config.environment import FARM, MOST_EPISODE_STEPS, EnvConfig
 from eia_sec.common.environment import EnvironmentSpec
 from eia_sec.common.errors import ConfigError
@@ -196,10 +196,15 @@ def _trainable(config: RunConfig, spec: EnvironmentSpec) -> EnvironmentSpec:
 
 
 def _require_actions(config: RunConfig, team: TeamSpec) -> None:
-    """Raise ConfigError for discrete actions and an algorithm that cannot train them."""
+    """Raise ConfigError for actions that the algorithm cannot train."""
     discrete = [group.name for group in team.groups if group.choices]
-    if discrete and not config.algorithm.discrete_actions:
-        raise ConfigError(
-            f"{config.env.name} has discrete actions ({', '.join(discrete)}), which {config.algorithm.name} cannot "
-            f"train; {', '.join(discrete_algorithms())} can."
-        )
+    continuous = [group.name for group in team.groups if not group.choices]
+    for what, types, trained, able in (
+        ("discrete", discrete, config.algorithm.discrete_actions, discrete_algorithms),
+        ("continuous", continuous, config.algorithm.continuous_actions, continuous_algorithms),
+    ):
+        if types and not trained:
+            raise ConfigError(
+                f"{config.env.name} has {what} actions ({', '.join(types)}), which {config.algorithm.name} cannot "
+                f"train; {', '.join(able())} can."
+            )

@@ -124,8 +124,9 @@ class Collector:
 
         Args:
             actors: the actors.
-            noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1; without meaning
-                for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
+            noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1, or epsilon for
+                values of options; without meaning for algorithms that learn on policy, whose actions are sampled from
+                the actors' distributions.
             uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
             goes_on: called after each step, because a chunk may take many seconds; after False, the chunk ends with
                 that step.
@@ -205,8 +206,11 @@ class Collector:
 
     def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments
-        if uniform:
-            return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
+        if uniform or self._all_choices:
+            drawn = self._uniform.at(self._episode, environments.time, normal=False)
+            if self._all_choices:
+                return actors.explore_options(environments.observation, drawn, 1.0 if uniform else noise_std)
+            return 2.0 * drawn - 1.0
         noise = self._noise.at(self._episode, environments.time, normal=True)
         return actors.explore(environments.observation, noise, noise_std)
 

@@ -16,6 +16,9 @@ from eia_sec.common.config.algorithms.off_policy import (
     MasacConfig,
     Matd3Config,
     OffPolicyConfig,
+    QmixConfig,
+    ValueDecompositionConfig,
+    VdnConfig,
 )
 from eia_sec.common.config.algorithms.on_policy import EiaPpoConfig, IppoConfig, MappoConfig, OnPolicyConfig
 from eia_sec.common.errors import ConfigError
@@ -36,6 +39,9 @@ __all__ = [
     "Matd3Config",
     "OffPolicyConfig",
     "OnPolicyConfig",
+    "QmixConfig",
+    "ValueDecompositionConfig",
+    "VdnConfig",
     "algorithm_class",
     "switched",
 ]
@@ -58,6 +64,8 @@ ALGORITHMS: Final[dict[str, RegisteredAlgorithm]] = {
     "maddpg": RegisteredAlgorithm("eia_sec.learner.off_policy.maddpg:Maddpg", MaddpgConfig),
     "matd3": RegisteredAlgorithm("eia_sec.learner.off_policy.matd3:Matd3", Matd3Config),
     "masac": RegisteredAlgorithm("eia_sec.learner.off_policy.masac:Masac", MasacConfig),
+    "vdn": RegisteredAlgorithm("eia_sec.learner.off_policy.vdn:Vdn", VdnConfig),
+    "qmix": RegisteredAlgorithm("eia_sec.learner.off_policy.qmix:Qmix", QmixConfig),
     "ippo": RegisteredAlgorithm("eia_sec.learner.on_policy.ippo:Ippo", IppoConfig),
     "mappo": RegisteredAlgorithm("eia_sec.learner.on_policy.mappo:Mappo", MappoConfig),
     "eia-ppo": RegisteredAlgorithm("eia_sec.learner.on_policy.eia_ppo:EiaPpo", EiaPpoConfig),
@@ -80,7 +88,7 @@ def algorithm_class(name: str) -> type[AlgorithmConfig]:
 
 
 def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
-    """Return the configuration of another algorithm with the values of the options that both inherit from one family.
+    """Return the configuration of another algorithm with the values of the options that both have from one family.
 
     All other options take the other algorithm's defaults. So do options whose defaults differ between the two, because
     they say what an algorithm is (`eia-ppo` has networks for each agent). Families learn at different rates, so nothing
@@ -96,7 +104,6 @@ def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
     if shared is AlgorithmConfig:
         return wanted(name=name)
     own, others = ({field.name: field.default for field in fields(kind)} for kind in (type(current), wanted))
-    kept = {
-        field.name: getattr(current, field.name) for field in fields(shared) if own[field.name] == others[field.name]
-    }
+    names = [field.name for field in fields(shared) if field.name not in wanted.unread]
+    kept = {name: getattr(current, name) for name in names if own[name] == others[name]}
     return wanted(**kept | {"name": name})

@@ -17,11 +17,15 @@ class AlgorithmConfig:
     Attributes:
         sections: other sections of a configuration that the algorithm reads; see OPTIONAL_SECTIONS.
         discrete_actions: whether the algorithm can train types with discrete actions.
+        continuous_actions: whether it can train those with continuous ones.
+        unread: options of its family that the algorithm does not read.
         live: options that can change while the algorithm learns, as members of a population do with theirs.
     """
 
     sections: ClassVar[tuple[str, ...]] = ()
     discrete_actions: ClassVar[bool] = False
+    continuous_actions: ClassVar[bool] = True
+    unread: ClassVar[tuple[str, ...]] = ()
     live: ClassVar[tuple[str, ...]] = ("actor_rate", "critic_rate")
 
     name: str

@@ -1,4 +1,4 @@
-"""Algorithms that learn from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3 and MASAC."""
+"""Algorithms that learn from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3, MASAC, VDN and QMIX."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -134,3 +134,57 @@ class MasacConfig(BaselineConfig):
     """Learning rate of log alpha."""
     entropy_target: ClassVar[float] = -1.0
     """Target entropy for each number in an action, nats."""
+
+
+@dataclass(frozen=True)
+class ValueDecompositionConfig(OffPolicyConfig):
+    """What VDN and QMIX share: values of options, whose mixture is the team's value; discrete actions only."""
+
+    sections: ClassVar[tuple[str, ...]] = ("replay",)
+    discrete_actions: ClassVar[bool] = True
+    continuous_actions: ClassVar[bool] = False
+    epsilon_share: ClassVar[float] = 0.3
+    """Share of the run over which epsilon falls linearly (ours)."""
+
+    discount: float = 0.99
+    """Discount factor gamma of the return."""
+    epsilon_start: float = 1.0
+    """Probability epsilon with which a worker draws an option at random, at the beginning of the run."""
+    epsilon_end: float = 0.05
+    """Probability epsilon from three tenths of the run on."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no probability."""
+        super().__post_init__()
+        within(0.0, 1.0, epsilon_start=self.epsilon_start, epsilon_end=self.epsilon_end)
+
+    def epsilon(self, progress: float) -> float:
+        """Return epsilon at a point of the run, from 0 (start) to 1 (end)."""
+        share = min(1.0, max(0.0, progress) / self.epsilon_share)
+        return self.epsilon_start + (self.epsilon_end - self.epsilon_start) * share
+
+
+@dataclass(frozen=True)
+class VdnConfig(ValueDecompositionConfig):
+    """VDN (Sunehag et al. 2018): the team's value is the sum of its agents' values."""
+
+    live: ClassVar[tuple[str, ...]] = ("actor_rate",)
+    unread: ClassVar[tuple[str, ...]] = ("critic_rate",)
+
+    name: Literal["vdn"] = "vdn"
+    """The algorithm, which selects the options of this section."""
+
+
+@dataclass(frozen=True)
+class QmixConfig(ValueDecompositionConfig):
+    """QMIX (Rashid et al. 2018): a network that sees what all agents see mixes their values into the team's."""
+
+    name: Literal["qmix"] = "qmix"
+    """The algorithm, which selects the options of this section."""
+    mixing_width: int = 32
+    """Units of the layer in which the agents' values are mixed."""
+
+    def __post_init__(self) -> None:
+        """Refuse a layer without units."""
+        super().__post_init__()
+        within(1, 4096, mixing_width=self.mixing_width)

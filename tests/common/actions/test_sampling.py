@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eia_sec.common.actions.sampling import best_options, sample_options, sample_squashed
+from eia_sec.common.actions.sampling import best_options, epsilon_greedy, sample_options, sample_squashed
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.errors import ConfigError, SchemaError
 from eia_sec.common.team import GroupSpec, TeamSpec
@@ -42,6 +42,36 @@ def test_the_best_legal_option_of_each_branch(group, seed):
         for branch, options in enumerate((range(3), range(3, 7))):
             allowed = [option for option in options if legal[row, option]]
             assert found[row, branch] == max(allowed, key=lambda k: logits[row, k]) - options.start
+
+
+@pytest.mark.parametrize("group", [PLAIN, MASKED])
+@given(seed=SEEDS)
+def test_without_epsilon_the_best_option_is_chosen_and_with_all_of_it_any_legal_one(group, seed):
+    """Legal options alone, whatever their values; in between, the numbers below epsilon decide."""
+    observation, legal, values, draw = drawn(seed, group)
+    uniform = draw.random((len(values), 2), np.float32)
+    best = best_options(group, observation, values)
+    np.testing.assert_array_equal(epsilon_greedy(group, observation, values, uniform, 0.0), best)
+    some = epsilon_greedy(group, observation, values, uniform, 0.3)
+    assert some.dtype == np.float32
+    np.testing.assert_array_equal(some[uniform >= 0.3], best[uniform >= 0.3])
+    for found in (some, epsilon_greedy(group, observation, values, uniform, 1.0)):
+        for branch, start in enumerate((0, 3)):
+            assert legal[np.arange(len(values)), start + found[:, branch].astype(int)].all()
+
+
+def test_epsilon_is_the_share_of_options_that_chance_draws_evenly():
+    """Of n options all have a share of epsilon / n, and the best one has the rest besides."""
+    rows, epsilon = 40_000, 0.4
+    observation, values = np.zeros((rows, PLAIN.observation_size), np.float32), np.zeros((rows, 7), np.float32)
+    values[:, (1, 5)] = 1.0
+    uniform = np.random.default_rng(0).random((rows, 2), np.float32)
+    found = epsilon_greedy(PLAIN, observation, values, uniform, epsilon)
+    for branch, (options, best) in enumerate(((3, 1), (4, 2))):
+        shares = np.bincount(found[:, branch].astype(int), minlength=options) / rows
+        wanted = np.full(options, epsilon / options)
+        wanted[best] += 1.0 - epsilon
+        np.testing.assert_allclose(shares, wanted, atol=0.01)
 
 
 @pytest.mark.parametrize("group", [PLAIN, MASKED])

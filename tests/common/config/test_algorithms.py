@@ -77,6 +77,20 @@ REFUSED = [
         f"algorithm.ensemble has no effect with maddpg; it is an option of {named(EiaSecConfig, EiaPpoConfig)}.",
     ),
     (
+        '[algorithm]\nname = "vdn"\ncritic_rate = 1e-3',
+        "algorithm.critic_rate has no effect with vdn; it is an option of "
+        + ", ".join(name for name in ALGORITHM_CONFIGS if name != "vdn")
+        + ".",
+    ),
+    (
+        '[algorithm]\nname = "vdn"\nmixing_width = 8',
+        "algorithm.mixing_width has no effect with vdn; it is an option of qmix.",
+    ),
+    (
+        '[exploration]\nnoise_std_end = 0.1\n[algorithm]\nname = "qmix"',
+        "exploration.noise_std_end has no effect with qmix; it is an option of eia-sec, maddpg, matd3, masac.",
+    ),
+    (
         "algorithm.others = 'team'",
         f"algorithm.others has no effect with eia-sec; it is an option of {named(BaselineConfig)}.",
     ),

@@ -26,6 +26,9 @@ from eia_sec.learner.registry import OFF_POLICY
 from tests.learner.off_policy.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
+CHOOSERS = TeamSpec(
+    (GroupSpec("a", 2, 3, 1, choices=(4,)), GroupSpec("b", 3, 7, 2, choices=(2, 3), masked=True)),
+)
 CONFIG = replace(
     preset("eia-sec"),
     seed=11,
@@ -37,15 +40,16 @@ CUTS = (1, 7, 30, 44, 60)
 """Chunks before the cut: in the warm-up, soon after it, before the ring is full, just before and after it wraps."""
 
 
-def recorded(count, seed=0):
+def recorded(count, seed=0, team=TEAM):
     """Return chunks of two workers by turns, which go on where the worker's chunk before stopped."""
     draw = np.random.default_rng(seed)
-    now = draw.uniform(-1, 1, (2, ENVIRONMENTS, TEAM.observation_size)).astype(np.float32)
+    options = [each for group in team.groups for each in group.choices * group.count]
+    now = draw.uniform(-1, 1, (2, ENVIRONMENTS, team.observation_size)).astype(np.float32)
     chunks = []
     for number in range(count):
         worker = number % 2
         shape = ENVIRONMENTS, STEPS + 1
-        observation = draw.uniform(-1, 1, (*shape, TEAM.observation_size)).astype(np.float32)
+        observation = draw.uniform(-1, 1, (*shape, team.observation_size)).astype(np.float32)
         observation[:, 0], now[worker] = now[worker], observation[:, -1]
         flag = np.full(shape, TRANSITION, np.uint8)
         flag[:, -1] = 0
@@ -53,13 +57,14 @@ def recorded(count, seed=0):
         if ended:
             flag[:, -2] |= draw.choice([TERMINATED, TRUNCATED], ENVIRONMENTS).astype(np.uint8)
             now[worker] = draw.uniform(-1, 1, now[worker].shape)
+        action = draw.uniform(-1, 1, (ENVIRONMENTS * (STEPS + 1), team.action_size))
         rows = Rows(
-            observation.reshape(-1, TEAM.observation_size),
-            draw.uniform(-1, 1, (ENVIRONMENTS * (STEPS + 1), TEAM.action_size)).astype(np.float32),
-            draw.normal(size=(ENVIRONMENTS * (STEPS + 1), TEAM.agents)).astype(np.float32),
+            observation.reshape(-1, team.observation_size),
+            (np.floor((action + 1.0) * 0.5 * options) if options else action).astype(np.float32),
+            draw.normal(size=(ENVIRONMENTS * (STEPS + 1), team.agents)).astype(np.float32),
             flag.reshape(-1),
         )
-        rewards = tuple(float(value) for value in draw.normal(size=TEAM.agents))
+        rewards = tuple(float(value) for value in draw.normal(size=team.agents))
         done = [EpisodeSummary(number, e, 50, rewards, {"aoi": 1.0}) for e in range(ENVIRONMENTS * ended)]
         chunks.append(Chunk(rows, tuple(done)))
     return chunks
@@ -93,15 +98,16 @@ def check_resume(directory, cut, updates, config=CONFIG):
     """Save at the cut while training goes on, take that up in a new trainer, and compare after more updates."""
     torch.set_num_threads(1)
     more = int(updates / (config.replay.updates_per_step * ENVIRONMENTS * STEPS)) + (8 if cut == 1 else 1)
-    chunks = recorded(cut + more)
-    whole, ledger, storage = OffPolicyTrainer(config, TEAM), Ledger(), RunStorage(directory, config)
+    team = TEAM if config.algorithm.continuous_actions else CHOOSERS
+    chunks = recorded(cut + more, team=team)
+    whole, ledger, storage = OffPolicyTrainer(config, team), Ledger(), RunStorage(directory, config)
     play(whole, ledger, chunks, 0, cut)
     kept, before = ledger.state(), whole.updates
     storage.save(whole, ledger, 12.5, 3)
     play(whole, ledger, chunks, cut, cut + more)
     storage.close()
     assert storage.alarm == ""
-    resumed, again = OffPolicyTrainer(replace(config, seed=config.seed), TEAM), Ledger()
+    resumed, again = OffPolicyTrainer(replace(config, seed=config.seed), team), Ledger()
     assert RunStorage(directory, config).restore(resumed, again) == (12.5, 3)
     assert (again.state(), resumed.updates) == (kept, before)
     play(resumed, again, chunks, cut, cut + more)

@@ -16,7 +16,7 @@ from eia_sec.learner.off_policy.algorithm import Algorithm
 from eia_sec.learner.off_policy.engine import Engine
 from eia_sec.learner.on_policy.ppo import Ppo
 from eia_sec.learner.registry import OFF_POLICY, ON_POLICY
-from tests.learner.off_policy.test_engine import TEAM, batches, same_state
+from tests.learner.off_policy.test_engine import CHOOSERS, TEAM, batches, same_state
 from tests.learner.off_policy.variants import variant
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -43,6 +43,8 @@ def test_every_line_of_the_registry_is_a_class_with_a_file_and_a_row():
         ("maddpg", ("replay", "exploration"), True),
         ("matd3", ("replay", "exploration"), True),
         ("masac", ("replay", "exploration"), True),
+        ("vdn", ("replay",), False),
+        ("qmix", ("replay",), False),
     ],
 )
 def test_a_name_decides_which_parts_there_are(name, sections, joint):
@@ -69,8 +71,9 @@ def test_the_command_line_names_an_algorithm(words):
 def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
     """An engine that takes another's tensors and generator does the same updates from there, bit for bit."""
     config = variant(SMALL, name)
-    one, other = Engine(config, TEAM, 3), Engine(config, TEAM, 4)
-    first, second = batches(TEAM, config, 2, torch.float32)
+    team = TEAM if config.continuous_actions else CHOOSERS
+    one, other = Engine(config, team, 3), Engine(config, team, 4)
+    first, second = batches(team, config, 2, torch.float32)
     one.update(first)
     for tensor_name, tensor in other.tensors().items():
         tensor.copy_(one.tensors()[tensor_name])

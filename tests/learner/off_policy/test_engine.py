@@ -13,6 +13,14 @@ from eia_sec.learner.off_policy.engine import Batch, Engine
 from tests.learner.off_policy.oracle import Oracle
 
 TEAM = TeamSpec((GroupSpec("c", 2, 5, 2), GroupSpec("m", 3, 4, 2), GroupSpec("d", 4, 7, 2)))
+CHOOSERS = TeamSpec(
+    (
+        GroupSpec("c", 2, 5, 1, choices=(3,)),
+        GroupSpec("m", 3, 9, 2, choices=(2, 4), masked=True),
+        GroupSpec("d", 1, 6, 3, choices=(2, 2, 5)),
+    )
+)
+"""Types that choose among options, the second with masks."""
 UNEVEN = TeamSpec((GroupSpec("c", 1, 5, 1), GroupSpec("m", 3, 5, 3), GroupSpec("d", 2, 3, 2)))
 BASE = EiaSecConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
 SWITCHES = {
@@ -50,12 +58,29 @@ def batches(team, config, count, dtype=torch.float64, seed=1):
     for _ in range(count):
         rows = config.batch
         yield Batch(
-            normal(rows, team.observation_size),
-            normal(rows, team.action_size).tanh(),
+            masked(team, normal(rows, team.observation_size)),
+            chosen(team, normal(rows, team.action_size).tanh()),
             normal(rows, team.agents),
-            normal(rows, team.observation_size),
+            masked(team, normal(rows, team.observation_size)),
             (normal(rows) > 1.0).to(dtype),
         )
+
+
+def masked(team, observation):
+    """Return observations whose masks are made of what they held, with one legal option in each branch at least."""
+    for group, part in zip(team.groups, team.observation_slices(), strict=True):
+        if group.masked:
+            mask = observation[:, part].unflatten(1, (group.count, -1))[..., -group.options :]
+            mask.copy_((mask > 0.0).to(mask.dtype))
+            for last in torch.tensor(group.choices).cumsum(0) - 1:
+                mask[..., last] = 1.0
+    return observation
+
+
+def chosen(team, action):
+    """Return actions in -1..1, as indices of options where the team chooses."""
+    options = torch.tensor([each for group in team.groups for each in group.choices * group.count], dtype=action.dtype)
+    return action if not len(options) else ((action + 1.0) * 0.5 * options).floor()
 
 
 def stacks_of(networks):

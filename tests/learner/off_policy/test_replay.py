@@ -132,7 +132,8 @@ def test_a_restored_ring_draws_the_same(chunks):
 
 
 @pytest.mark.parametrize(
-    "damage", ["missing", "shape", "dtype", "head", "rows", "negative", "ends", "successor", "drawable", "twice"]
+    "damage",
+    ["missing", "shape", "dtype", "head", "rows", "negative", "ends", "successor", "drawable", "twice", "action"],
 )
 def test_a_state_that_does_not_fit_is_refused(damage):
     """A field that is missing, of another shape or type, or numbers out of range raise CheckpointError."""
@@ -149,6 +150,7 @@ def test_a_state_that_does_not_fit_is_refused(damage):
         "ends": lambda: plain.update(ends={"w": 3}),
         "successor": lambda: tensors["successor"].__setitem__(2, 9),
         "drawable": lambda: tensors["drawable"].__setitem__(2, 9),
+        "action": lambda: tensors["action"].__setitem__((2, 0), 1.5),
         "twice": lambda: tensors["drawable"].__setitem__(2, int(tensors["drawable"][1])),
     }
     wrong[damage]()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import ControlConfig, EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
-from eia_sec.common.config.action_kinds import discrete_algorithms
+from eia_sec.common.config.action_kinds import continuous_algorithms, discrete_algorithms
 from eia_sec.common.errors import ConfigError, ContractError, PolicyError
 from eia_sec.common.team import TeamSpec
 from eia_sec.rollout.envs.pettingzoo_actions import RowActions, choices_of
@@ -190,8 +190,22 @@ def test_discrete_actions_and_an_algorithm_without_them_are_refused(config):
         assert any(group.choices for group in environments.team.groups)
 
 
+def test_continuous_actions_and_an_algorithm_without_them_are_refused():
+    """One sentence names the types and the algorithms that can."""
+    asked = EnvConfig("toy_choices:flexible", arguments='{"continuous_actions": true}')
+    for name in ("vdn", "qmix"):
+        config = RunConfig(env=asked).with_algorithm(name)
+        with pytest.raises(
+            ConfigError, match=rf"has continuous actions \(walker, .*, which {name} cannot train; .*masac"
+        ):
+            environment_spec(config)
+        with pytest.raises(ConfigError, match=rf"Doors has continuous actions \(painter\), which {name} cannot train"):
+            environment_spec(RunConfig(env=EnvConfig("toy_choices:Doors")).with_algorithm(name))
+
+
 def test_which_algorithms_choose():
-    """Off-policy algorithms need boxes."""
+    """Algorithms with actors off policy need boxes, those of options' values none."""
+    assert {"vdn", "qmix"} <= set(discrete_algorithms()) - set(continuous_algorithms())
     assert not set(discrete_algorithms()) & {"eia-sec", "maddpg", "matd3", "masac"}
     assert {"ippo", "mappo"} <= set(discrete_algorithms())
 
