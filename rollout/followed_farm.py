@@ -28,24 +28,23 @@ class Levels:
     """The levels of counters of one sort, [N], from the steps of their last visits.
 
     Args:
-        due: step of each one's first rise.
-        cycle: steps from one rise to the next.
+        cycle: steps from one rise to the next, and to the first.
         start: levels at the beginning.
         most: largest level.
     """
 
-    def __init__(self, due: NDArray[np.int64], cycle: NDArray[np.int64], start: Array, most: int) -> None:
-        self._due, self._cycle, self._start, self._most = due.ravel(), cycle.ravel(), start.ravel(), most
-        self._visit = np.full(self._due.shape, NEVER_VISITED)
+    def __init__(self, cycle: NDArray[np.int64], start: Array, most: int) -> None:
+        self._cycle, self._start, self._most = cycle.ravel(), start.ravel(), most
+        self._visit = np.full(self._cycle.shape, NEVER_VISITED)
 
     def rises(self, step: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Return how often each counter has risen up to a step, that included."""
-        found: NDArray[np.int64] = np.where(step < self._due, 0, (step - self._due) // self._cycle + 1)
+        found: NDArray[np.int64] = step // self._cycle
         return found
 
     def due(self, step: int) -> NDArray[np.int64]:
         """Return the step of each counter's first rise after a step."""
-        found: NDArray[np.int64] = self._due + self._cycle * self.rises(step)
+        found: NDArray[np.int64] = self._cycle * (self.rises(step) + 1)
         return found
 
     def visit(self, items: NDArray[np.int32], step: int) -> None:
@@ -99,7 +98,7 @@ class FollowedFarm(FarmBatch):
 
     Args:
         config: the farm.
-        seed: determines the sensors' places where the configuration has none, and phases.
+        seed: determines the sensors' places where the configuration has none.
 
     Attributes:
         plots: levels of the plots' VDF, numbered column by column.
@@ -145,8 +144,8 @@ class FollowedFarm(FarmBatch):
         """Set up the counters with the levels at the beginning."""
         counters, world = first_counters(self.config, layout), self.config.world
         age, level = self._state.age[0].copy(), self._state.level[0].copy()
-        self.plots = Levels(counters.plot_due, counters.plot_cycle, level, world.vdf_max)
-        self.sensors = Levels(counters.sensor_due, counters.sensor_cycle, age, world.aoi_max)
+        self.plots = Levels(counters.plot_cycle, level, world.vdf_max)
+        self.sensors = Levels(counters.sensor_cycle, age, world.aoi_max)
 
     def _place(self, team: TeamState) -> None:
         """Write what is known after the coming step, or before the first, to the state."""
@@ -197,13 +196,11 @@ def served_in(
     counters = first_counters(config, layout)
     centres = plot_centres(config.world)
     found = []
-    for due, cycle, before, after, places, own in (
-        (counters.plot_due, counters.plot_cycle, level, farms.vdf[0], centres, (first, second)),
-        (counters.sensor_due, counters.sensor_cycle, age, farms.aoi[0], layout.sensor_xy, (second, config.world.uavs)),
+    for cycle, before, after, places, own in (
+        (counters.plot_cycle, level, farms.vdf[0], centres, (first, second)),
+        (counters.sensor_cycle, age, farms.aoi[0], layout.sensor_xy, (second, config.world.uavs)),
     ):
-        zeros = np.zeros(due.size)
-        levels = Levels(due, cycle, zeros, 1)
-        rises = levels.rises(step) > levels.rises(step - 1)
+        rises = step % cycle.ravel() == 0
         items = np.flatnonzero((after.ravel() == 0.0) & ((before.ravel() > 0.0) | rises))
         found.append((*own, places[items], items))
     *rest, (first, last, places, sensors) = found

@@ -18,10 +18,6 @@ SWITCHES: Final = (
     ("population.", "population.members", 0),
     ("farm.dynamics.", "farm.dynamics.model", "instant"),
     ("farm.battery.", "farm.battery.capacity", 0.0),
-    ("farm.stress.radius", "farm.stress.patches", 0),
-    ("farm.stress.growth", "farm.stress.patches", 0),
-    ("farm.stress.seconds", "farm.stress.patches", 0),
-    ("farm.wind.direction", "farm.wind.speed", 0.0),
     ("farm.relay.base", "farm.relay.require_link", False),
     ("farm.relay.hop_range", "farm.relay.base", ""),
 )

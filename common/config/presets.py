@@ -237,8 +237,6 @@ studies' records depend on it.
 
 PAPER: Final = """
 episodes = 2000
-[farm.energy]
-model = "printed"
 [farm.observation]
 form = "printed"
 choice = "nearest"

@@ -51,13 +51,13 @@ def paid_plots(config: FarmConfig) -> float:
     """Return the most VDF that all monitors together can be paid for.
 
     Raises:
-        ConfigError: cameras see several plots at once, or phases or starts are random, where this bound does not hold.
+        ConfigError: cameras see several plots at once, or starts are random, where this bound does not hold.
     """
     world = config.world
     if not images_one_plot(config):
         raise ConfigError("a camera images several plots at once; the bound holds for one plot a step.")
-    if world.cycle_phase != "zero" or world.start_levels != "zero":
-        raise ConfigError("the bound holds for counters that start at 0 and rise at multiples of their cycles.")
+    if world.start_levels != "zero":
+        raise ConfigError("the bound holds for counters that start at 0.")
     cycle = round(world.vdf_cycle / world.step_seconds)
     last = world.steps - np.arange(world.plots_x * world.plots_y) // world.monitoring_uavs
     return float(np.maximum(0, (last - 1) // cycle).sum())

@@ -68,11 +68,11 @@ def follow(config: FarmConfig, policy: Policy, farm: int) -> dict[str, dict[str,
     """Fly the first episode of a farm; return what became of the supply, by the names of KINDS.
 
     Raises:
-        ConfigError: counters begin or rise otherwise than at multiples of their cycles from 0 on.
+        ConfigError: counters begin otherwise than at 0.
     """
     world, batch = config.world, FarmBatch(config, 1)
-    if world.cycle_phase != "zero" or world.start_levels != "zero":
-        raise ConfigError("the supply is counted for counters that start at 0 and rise at multiples of their cycles.")
+    if world.start_levels != "zero":
+        raise ConfigError("the supply is counted for counters that start at 0.")
     batch.reset(0, farm, episode_seed(farm, 0))
     policy.reset(batch, 0)
     border = np.ones((world.plots_x, world.plots_y), bool)

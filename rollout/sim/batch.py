@@ -136,12 +136,12 @@ class FarmBatch:
     @property
     def plot_growth(self) -> NDArray[np.int32]:
         """[E, n_px, n_py] how many times as often VDF rises because of areas; see above. A new view at each access."""
-        return self._state.plot_cycle[:, 2]
+        return self._state.plot_cycle[:, 1]
 
     @property
     def sensor_growth(self) -> NDArray[np.int32]:
         """[E, S] how many times as often AoI rises because of areas; see above. A new view at each access."""
-        return self._state.sensor_cycle[:, 2]
+        return self._state.sensor_cycle[:, 1]
 
     @property
     def wind(self) -> NDArray[np.float64]:
@@ -239,14 +239,13 @@ class FarmBatch:
         """Set the cycles and first rises of an episode that begins, and draw patches of stress that nobody knows."""
         state, counters = self._state, first_counters(self.config, layout)
         state.cycle[e] = counters.sensor_cycle
-        state.age_due[e], state.level_due[e] = counters.sensor_due, counters.plot_due
-        state.rising[e] = counters.sensor_due.min(), counters.plot_due.min()
+        state.age_due[e], state.level_due[e] = counters.sensor_cycle, counters.plot_cycle
+        state.rising[e] = counters.sensor_cycle.min(), counters.plot_cycle.min()
         if self.config.stress.some:
             state.patch_place[e], state.patch_time[e] = patches(self.config, *self._seeds[e])
             state.patch_known[e], state.stressed[e] = False, counters.plot_growth > 1
-            state.plot_cycle[e] = counters.plot_cycle, layout.plot_phase, counters.plot_growth
-            usual = np.minimum(layout.sensor_cycle_steps, NEVER)
-            state.sensor_cycle[e] = usual, layout.sensor_phase, counters.sensor_growth
+            state.plot_cycle[e] = counters.plot_cycle, counters.plot_growth
+            state.sensor_cycle[e] = np.minimum(layout.sensor_cycle_steps, NEVER), counters.sensor_growth
 
     def step(self, action: Float32) -> None:
         """Step every environment.

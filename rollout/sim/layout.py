@@ -28,8 +28,6 @@ class Layout:
         sensor_xy: [S, 2] positions, m; numbered cell by cell, cells in row-major order (x outer).
         sensor_type: [S] type, 0 .. I_type - 1.
         sensor_cycle_steps: [S] AoI update cycle T_UA of the sensor's type, steps.
-        sensor_phase: [S] AoI rises at steps equal to this modulo the cycle (0 unless phases are random).
-        plot_phase: [n_px, n_py] the same for VDF.
         cells: number of cells along x and y.
         cell_start: [cells + 1] first sensor of each cell.
         zones: corners of each no-fly zone, [C, 2] m.
@@ -40,8 +38,6 @@ class Layout:
     sensor_xy: NDArray[np.float64]
     sensor_type: NDArray[np.int64]
     sensor_cycle_steps: NDArray[np.int64]
-    sensor_phase: NDArray[np.int64]
-    plot_phase: NDArray[np.int64]
     cells: tuple[int, int]
     cell_start: NDArray[np.int64]
     zones: tuple[NDArray[np.float64], ...] = ()
@@ -52,7 +48,7 @@ def make_layout(farm: FarmConfig, seed: int) -> Layout:
     """Return the farm of a seed.
 
     Positions are sampled from the configured density, at least `sensor_spacing` apart, and types are balanced.
-    Positions and types from the configuration stay as they are. Phases always follow from the seed.
+    Positions and types from the configuration stay as they are.
 
     Raises:
         ConfigError: the sensors do not fit at that spacing.
@@ -62,19 +58,14 @@ def make_layout(farm: FarmConfig, seed: int) -> Layout:
     given = np.array(world.sites, np.float64)
     place = given[:, :2] if world.sites else sample_positions(world, seed, density)
     order, (cells, start) = _number(world, place)
-    random = stream(seed, "layout", "types")
-    kind = random.permutation(np.arange(world.sensors) % len(world.sensor_cycles))
+    kind = stream(seed, "layout", "types").permutation(np.arange(world.sensors) % len(world.sensor_cycles))
     if world.sites and given.shape[1] > 2:
         kind = given[order, 2].astype(np.int64)
     steps = np.rint(np.array(world.sensor_cycles) / world.step_seconds).astype(np.int64)[kind]
-    phase, plot_phase = np.zeros_like(steps), np.zeros((world.plots_x, world.plots_y), np.int64)
-    if world.cycle_phase == "random":
-        phase = random.integers(steps)
-        plot_phase = random.integers(round(world.vdf_cycle / world.step_seconds), size=plot_phase.shape)
     xy = np.ascontiguousarray(place[order])
-    for array in (xy, kind, steps, phase, plot_phase, start):
+    for array in (xy, kind, steps, start):
         array.setflags(write=False)
-    return Layout(seed, density, xy, kind, steps, phase, plot_phase, cells, start, make_zones(farm, seed))
+    return Layout(seed, density, xy, kind, steps, cells, start, make_zones(farm, seed))
 
 
 def _number(

@@ -123,7 +123,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["farm", "save", "--out", "FARM.CSV", "--latitude", "48"], "--latitude has no effect on FARM.CSV"),
         (["simulator", "--vehicle", "monitoring_1=monitoring_0"], "would both be the vehicle monitoring_1"),
         (["farm", "save", "--set", "farm.world.sensors=5000"], "do not fit"),
-        (["farm", "save", "--set", "farm.stress.growth=3"], "no effect while farm.stress.patches is 0"),
+        (["farm", "save", "--set", "farm.stress.growth=5"], "farm.stress.growth is no option any more"),
         (["evaluate", "--policy", "static", "--set", "farm.relay.hop_range=9"], "while farm.relay.base is empty"),
         (["farm", "show", "--out", "nowhere/farm.png"], "cannot be written"),
     ],

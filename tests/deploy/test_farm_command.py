@@ -222,7 +222,6 @@ def test_a_density_is_for_sampled_places(here, capsys):
 def test_settings_may_switch_their_part_on(here):
     """The order of `--set` does not matter, and areas need no patches."""
     corners = "[[0, 0], [50, 0], [50, 40.0]]"
-    several = ("farm.stress.growth=5", "farm.stress.patches=2", "farm.relay.link_range=90")
-    stress = with_settings(RunConfig(), several).farm.stress
-    assert (stress.growth, stress.patches) == (5, 2)
+    battery = with_settings(RunConfig(), ("farm.battery.power=90", "farm.battery.capacity=5000")).farm.battery
+    assert (battery.power, battery.capacity) == (90.0, 5000.0)
     assert with_settings(RunConfig(), [f"farm.stress.areas=[[2, {corners}]]"]).farm.stress.areas[0][0] == 2

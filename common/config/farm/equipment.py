@@ -1,12 +1,12 @@
 """What UAVs and sensors carry: radios, cameras and rotors.
 
-Class variables are constants of the paper's physics, and fields are options.
+All of it is constants of the paper's physics; none is an option.
 
 A docstring that ends in "(ours)" marks a constant that the paper does not give; all others are from its Tables 1 and 2.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,8 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class EnergyConfig:
-    """Flight, communication, computation and payload power."""
+    """Flight power as printed (W5), communication, computation and payload power."""
 
-    model: Literal["printed", "physical"] = "printed"
-    """Flight power as printed, or rotor-disk induced power plus body drag (W5)."""
     mass: ClassVar[float] = 0.2
     """UAV mass, m_UAV, kg."""
     gravity: ClassVar[float] = 9.8

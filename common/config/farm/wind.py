@@ -7,8 +7,6 @@ from eia_sec.common.config.checks import within
 from eia_sec.common.config.farm.world import WorldConfig
 from eia_sec.common.errors import ConfigError
 
-SEEDED: Final = -1.0
-"""The direction of a wind that takes it from the episode's seed."""
 STRONGEST: Final = 1e3
 """Largest speed and deviation, m/s."""
 
@@ -18,19 +16,16 @@ class WindConfig:
     """Wind, the same over the whole field; without it, nothing changes."""
 
     speed: float = 0.0
-    """Speed of the steady wind, m/s; at most the UAVs' top speed along each axis (ours)."""
-    direction: float = SEEDED
-    """Where it blows from, degrees clockwise from north (+y), so that 270 blows along +x; -1: from the seed (ours)."""
+    """Speed of the steady wind, m/s, at most the UAVs' top speed along each axis. Its direction follows from the
+    episode's seed (ours)."""
     gusts: float = 0.0
     """Standard deviation of the gusts along each axis, m/s; 0 for none (ours)."""
     gust_seconds: ClassVar[float] = 10.0
     """Time after which a gust's correlation has fallen to 1/e, s (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse negative speeds and directions that are none."""
+        """Refuse negative speeds."""
         within(0.0, STRONGEST, speed=self.speed, gusts=self.gusts)
-        if self.direction != SEEDED:
-            within(0.0, 360.0, direction=self.direction)
 
     @property
     def some(self) -> bool:

@@ -67,8 +67,6 @@ class WorldConfig:
     """Length of one step, t_step, s."""
     start_levels: Literal["zero", "random"] = "zero"
     """AoI and VDF at the start of an episode: all 0, or uniform over 0..max (ours)."""
-    cycle_phase: Literal["zero", "random"] = "zero"
-    """Whether all counters rise at multiples of their cycle (W18), or each at its own random phase."""
     collision_distance: ClassVar[float] = 2.0
     """Distance below which two UAVs at the same height are reported as a collision, m (ours)."""
 

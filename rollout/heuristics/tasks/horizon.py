@@ -267,13 +267,13 @@ def barred_cells(state: FarmState) -> Flags:
 
 def coming_levels(state: FarmState, kind: int, horizon: int) -> Array:
     """Return the counters [horizon, S] of plots or sensors that the coming steps would credit if nothing was served."""
-    world, layout = state.config.world, state.layout
+    world = state.config.world
     if kind == MONITORS:
-        now, cycle, phase, most = state.vdf, state.cycles[0], layout.plot_phase.reshape(-1), world.vdf_max
+        now, cycle, most = state.vdf, state.cycles[0], world.vdf_max
     else:
-        now, cycle, phase, most = state.aoi, state.cycles[1], layout.sensor_phase, world.aoi_max
+        now, cycle, most = state.aoi, state.cycles[1], world.aoi_max
     then = state.time + np.arange(horizon)[:, None]
-    rises = (then - phase) // cycle - (state.time - phase) // cycle
+    rises = then // cycle - state.time // cycle
     levels: Array = np.minimum(now + rises, float(most))
     return levels
 

@@ -48,25 +48,21 @@ class Counters(NamedTuple):
     Attributes:
         plot_growth: [n_px, n_py] how many times as often areas let it rise.
         sensor_growth: [S] the same.
-        plot_cycle: [n_px, n_py] steps from one rise to the next, at most NEVER.
+        plot_cycle: [n_px, n_py] steps from one rise to the next, and to the first, at most NEVER.
         sensor_cycle: [S] the same.
-        plot_due: [n_px, n_py] step of the first rise, at most NEVER.
-        sensor_due: [S] the same.
     """
 
     plot_growth: NDArray[np.int64]
     sensor_growth: NDArray[np.int64]
     plot_cycle: NDArray[np.int64]
     sensor_cycle: NDArray[np.int64]
-    plot_due: NDArray[np.int64]
-    sensor_due: NDArray[np.int64]
 
 
 @functools.lru_cache(maxsize=64)
 def first_counters(config: FarmConfig, layout: Layout) -> Counters:
     """Return the counters of a farm, the same at the start of all its episodes; the arrays are read-only."""
     world, areas = config.world, config.stress.faster
-    plot_growth = area_growth(areas, plot_centres(world)).reshape(layout.plot_phase.shape)
+    plot_growth = area_growth(areas, plot_centres(world)).reshape(world.plots_x, world.plots_y)
     sensor_growth = area_growth(areas, layout.sensor_xy)
     plot_cycle = shorter(np.full(plot_growth.shape, round(world.vdf_cycle / world.step_seconds)), plot_growth)
     sensor_cycle = shorter(layout.sensor_cycle_steps, sensor_growth)
@@ -75,8 +71,6 @@ def first_counters(config: FarmConfig, layout: Layout) -> Counters:
         sensor_growth,
         np.minimum(plot_cycle, NEVER),
         np.minimum(sensor_cycle, NEVER),
-        np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER),
-        np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER),
     )
     for array in found:
         array.setflags(write=False)
@@ -108,11 +102,6 @@ def shorter(cycles: NDArray[np.int64], growth: NDArray[np.int64]) -> NDArray[np.
     """Return cycles in steps, divided by a growth and rounded down, to at least 1."""
     short: NDArray[np.int64] = np.maximum(1, cycles // growth)
     return short
-
-
-def first_rises(phases: NDArray[np.int64], cycles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first step from 1 on that equals the phase modulo the cycle."""
-    return 1 + (phases - 1) % cycles
 
 
 def within(config: FarmConfig, place: Array, living: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
@@ -167,9 +156,9 @@ def shortened(cycle: int, area: int, patch: int, covered: bool) -> int:
 
 
 @allocation_free
-def next_due(step: int, phase: int, cycle: int) -> int:
-    """Return the first step from this one on that equals the phase modulo the cycle."""
-    return step + (phase - step) % cycle
+def next_due(step: int, cycle: int) -> int:
+    """Return the first step from this one on that is a multiple of the cycle."""
+    return step + -step % cycle
 
 
 @allocation_free
@@ -196,10 +185,10 @@ def change_cycles(c: Constants, farm: Farm) -> None:
         for row in range(camera.plots_y):
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
             covered = _covered(place, time, square, step, x, y)
-            cycle = shortened(camera.cycle, cycles[2, column, row], growth, covered)
+            cycle = shortened(camera.cycle, cycles[1, column, row], growth, covered)
             if cycles[0, column, row] != cycle:
                 cycles[0, column, row] = cycle
-                due[column, row] = next_due(step, cycles[1, column, row], cycle)
+                due[column, row] = next_due(step, cycle)
             soonest = min(soonest, due[column, row])
     farm.rising[1] = soonest
     usual, due = farm.sensor_cycle, farm.age_due
@@ -220,15 +209,15 @@ def _change_sensors(
 ) -> int:
     """Give the sensors' counters their cycles; return the next step at which any AoI rises.
 
-    `usual` [3, S] holds the cycles without stress, the phases, and the growth because of areas.
+    `usual` [2, S] holds the cycles without stress, and the growth because of areas.
     """
     soonest: int = step + usual[0, 0]
     for j in range(len(cycles)):
         covered = _covered(place, time, square, step, sensor[0, j], sensor[1, j])
-        cycle = shortened(usual[0, j], usual[2, j], growth, covered)
+        cycle = shortened(usual[0, j], usual[1, j], growth, covered)
         if cycles[j] != cycle:
             cycles[j] = cycle
-            due[j] = next_due(step, usual[1, j], cycle)
+            due[j] = next_due(step, cycle)
         soonest = min(soonest, due[j])
     return soonest
 
@@ -272,7 +261,7 @@ def _draw(
     """Mark the plots [n_px, n_py] in areas, which have a growth above 1, and in living patches that are known."""
     for column in range(len(stressed)):
         for row in range(stressed.shape[1]):
-            found = cycles[2, column, row] > 1
+            found = cycles[1, column, row] > 1
             for p in range(len(place)):
                 if known[p] and _lives(time, p, step):
                     found |= _near(place, p, square, (column + 0.5) * width, (row + 0.5) * depth)

@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.config.farm.wind import SEEDED
 from eia_sec.common.seeds import stream
 from eia_sec.rollout.sim.core.compile import allocation_free
 from eia_sec.rollout.sim.core.constants import FleetConstants
@@ -19,9 +18,9 @@ from eia_sec.rollout.sim.core.records import Array, Float32
 def wind_series(config: FarmConfig, farm_seed: int, episode_seed: int) -> Array:
     """Return the wind along x and y, [steps + 1, 2] m/s; row k blows during step k, row 0 before the first.
 
-    A steady wind, and gusts along each axis: a first-order autoregressive process, the sampled Ornstein-Uhlenbeck
-    process, which begins in its stationary distribution. Along an axis the wind never exceeds the UAVs' top speed
-    through the air, so that every UAV can hold its place.
+    A steady wind from a drawn direction, and gusts along each axis: a first-order autoregressive process, the sampled
+    Ornstein-Uhlenbeck process, which begins in its stationary distribution. Along an axis the wind never exceeds the
+    UAVs' top speed through the air, so that every UAV can hold its place.
 
     Returns:
         no rows if there is no wind.
@@ -32,8 +31,7 @@ def wind_series(config: FarmConfig, farm_seed: int, episode_seed: int) -> Array:
     from scipy.signal import lfilter  # noqa: PLC0415  (half of a worker's start went into this import, and few farms have wind)
 
     random = stream(farm_seed, episode_seed, "wind")
-    seeded = 360.0 * random.random()
-    bearing = math.radians(seeded if wind.direction == SEEDED else wind.direction)
+    bearing = math.radians(360.0 * random.random())
     steady = -wind.speed * np.array([math.sin(bearing), math.cos(bearing)])
     kept = math.exp(-world.step_seconds / wind.gust_seconds)
     shocks = wind.gusts * random.standard_normal((world.steps + 1, 2))

@@ -84,13 +84,13 @@ class Farm(NamedTuple):
     stressed: Annotated[Array, "mapped_px n_py", "1 for plots in areas, and in living patches that are known"]
     plot_cycle: Annotated[
         Int32,
-        "3 stressed_px n_py",
-        "present cycle and phase of each plot's VDF, and its growth because of areas",
+        "2 stressed_px n_py",
+        "present cycle of each plot's VDF, and its growth because of areas",
     ]
     sensor_cycle: Annotated[
         Int32,
-        "3 stressed_sensors",
-        "cycle without stress and phase of each sensor's AoI, and its growth because of areas",
+        "2 stressed_sensors",
+        "cycle without stress of each sensor's AoI, and its growth because of areas",
     ]
     wind: Annotated[Array, "winds 2", "wind of each step, m/s"]
     zone_side: Annotated[Array, "sides 4", "sides of the no-fly zones, see `conditions.zones`"]

@@ -56,17 +56,13 @@ class FleetConstants(NamedTuple):
 class FlightConstants(NamedTuple):
     """Flight power (W5)."""
 
-    physical: Annotated[bool, "the physical model, not the printed one"]
     hover_speed: Annotated[float, "v_th, m/s"]
-    hover: Annotated[float, "printed hover power, W"]
-    c1: Annotated[float, "drag coefficient of the printed model, W s^2/m^2"]
-    c2: Annotated[float, "coefficient of the printed model, W m/s"]
+    hover: Annotated[float, "hover power, W"]
+    c1: Annotated[float, "coefficient of the drag, W s^2/m^2"]
+    c2: Annotated[float, "coefficient of the thrust, W m/s"]
     mass: Annotated[float, "m, kg"]
     gravity: Annotated[float, "g, m/s^2"]
     weight: Annotated[float, "m g, N"]
-    efficiency: Annotated[float, "eta"]
-    induced: Annotated[float, "(m g) / (2 rho A_disk), the square of the induced speed when hovering, m^2/s^2"]
-    drag: Annotated[float, "0.5 rho A_surf C_d, W s^3/m^3"]
 
 
 class RelayConstants(NamedTuple):
@@ -235,7 +231,6 @@ def _flight(config: FarmConfig) -> FlightConstants:
     disk = energy.propellers * math.pi * energy.propeller_radius**2
     area = energy.body_area + disk
     return FlightConstants(
-        physical=energy.model == "physical",
         hover_speed=energy.hover_speed,
         hover=energy.mass * energy.gravity**1.5 / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency),
         c1=0.5 * energy.air_density * area * energy.drag_coefficient,
@@ -243,9 +238,6 @@ def _flight(config: FarmConfig) -> FlightConstants:
         mass=energy.mass,
         gravity=energy.gravity,
         weight=energy.mass * energy.gravity,
-        efficiency=energy.efficiency,
-        induced=energy.mass * energy.gravity / (2.0 * energy.air_density * disk),
-        drag=0.5 * energy.air_density * energy.body_area * energy.drag_coefficient,
     )
 
 

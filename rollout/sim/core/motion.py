@@ -16,14 +16,10 @@ from eia_sec.rollout.sim.core.records import Array, Float32, Indices
 
 @allocation_free
 def flight_power(flight: FlightConstants, speed: float, load: float = 1.0) -> float:
-    """Return P_fly(|v|), W: as printed, or induced power m g v_i / eta plus body drag (W5).
+    """Return P_fly(|v|), W, as printed (W5).
 
     The load is the thrust over the weight m g, which it replaces; it exceeds 1 where a UAV accelerates.
     """
-    if flight.physical:
-        square, induced = speed * speed, load * flight.induced
-        induced = math.sqrt(0.5 * (math.sqrt(square * square + 4.0 * induced * induced) - square))
-        return load * flight.weight * induced / flight.efficiency + flight.drag * speed * square
     if speed < flight.hover_speed:
         return load * math.sqrt(load) * flight.hover
     return flight.c1 * speed * speed + load * load * flight.c2 / speed + load * flight.weight * speed

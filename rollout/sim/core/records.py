@@ -12,7 +12,7 @@ An array is declared by its type, its axes and its meaning:
 import functools
 from collections import namedtuple
 from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar, cast, get_args, get_type_hints
+from typing import Any, ClassVar, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,11 +73,12 @@ def row_maker(record: type[Record]) -> Callable[[Record, int], Record]:
 
 
 def numbers(section: Section) -> Section:
-    """Return the numbers of a section of the configuration, fields and properties, for compiled code.
+    """Return the numbers of a section of the configuration, constants and properties included, for compiled code.
 
-    Every number has its declared type, so that an integer in a configuration triggers no recompilation.
+    Every number has its declared type, so that an integer in a configuration triggers no recompilation. Nor does a
+    class that derives from the section's.
     """
-    kind_of_section: Any = type(section)
+    kind_of_section: Any = next(kind for kind in type(section).__mro__ if "__dataclass_fields__" in vars(kind))
     kinds = _kinds(kind_of_section)
     values = [kind(getattr(section, name)) for name, kind in kinds.items()]
     return cast(Section, _tuple_of(kind_of_section)(*values))
@@ -86,7 +87,10 @@ def numbers(section: Section) -> Section:
 @functools.cache
 def _kinds(section: Any) -> dict[str, Any]:
     """Return the types of a section's numbers by name."""
-    fields = get_type_hints(section)
+    fields = {
+        name: get_args(kind)[0] if get_origin(kind) is ClassVar else kind
+        for name, kind in get_type_hints(section).items()
+    }
     properties = {
         name: get_type_hints(member.fget)["return"]
         for name, member in vars(section).items()

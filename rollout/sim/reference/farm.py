@@ -212,7 +212,7 @@ class ReferenceFarm(FarmState):
         for x in range(world.plots_x):
             for y in range(world.plots_y):
                 centre = self.plot_xy[x * world.plots_y + y]
-                due = (self.time - self.layout.plot_phase[x, y]) % cycles[x, y] == 0
+                due = self.time % cycles[x, y] == 0
                 if len(monitors) == 0:
                     self._serve(self.vdf, (x, y), 0, False, bool(due), world.vdf_max)
                     continue
@@ -243,7 +243,7 @@ class ReferenceFarm(FarmState):
         cycles = sensor_cycles(self)
         for j, u in enumerate(owner):
             arrives = packet_draw(self.key, self.time, j) < self.chance[j] and self.linked[u - world.communication_uavs]
-            due = (self.time - self.layout.sensor_phase[j]) % cycles[j] == 0
+            due = self.time % cycles[j] == 0
             self._serve(self.aoi, (j,), int(u), bool(arrives), bool(due), world.aoi_max)
 
     def _serve(self, counter: Array, item: tuple[int, ...], u: int, served: bool, due: bool, cap: int) -> None:

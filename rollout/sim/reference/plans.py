@@ -71,12 +71,11 @@ class Planner:
         if self._monitors:
             world = farm.config.world
             usual: NDArray[np.int64] = np.full(len(self._sites), round(world.vdf_cycle / world.step_seconds))
-            phase = farm.layout.plot_phase.reshape(-1)
         else:
-            usual, phase = farm.layout.sensor_cycle_steps, farm.layout.sensor_phase
+            usual = farm.layout.sensor_cycle_steps
         known = within(farm.config, farm.patches.place, living(farm) & farm.known, self._sites)
         growth = np.maximum(growth_of_areas(farm, self._sites), np.where(known, stress.growth, 1))
-        return np.asarray(self._own & ((step - phase) % np.maximum(1, usual // growth) == 0))
+        return np.asarray(self._own & (step % np.maximum(1, usual // growth) == 0))
 
     def served(self, point: Point) -> tuple[NDArray[np.int64], Float32]:
         """Return the sites that are served from over a lattice point, and the share of their counters, [k] each.

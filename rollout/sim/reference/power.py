@@ -16,14 +16,9 @@ def dbm_to_mw(dbm: Array | float) -> Array:
 
 
 def flight_power(energy: EnergyConfig, speed: float, load: float = 1.0) -> float:
-    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5); the load multiplies m g."""
+    """P_fly, W, as printed (W5); the load multiplies m g."""
     disk = energy.propellers * math.pi * energy.propeller_radius**2
     weight = load * energy.mass * energy.gravity
-    if energy.model == "physical":
-        hover_square = weight / (2.0 * energy.air_density * disk)
-        induced = math.sqrt((math.sqrt(speed**4 + 4.0 * hover_square**2) - speed**2) / 2.0)
-        drag = 0.5 * energy.air_density * energy.body_area * energy.drag_coefficient * speed**3
-        return weight * induced / energy.efficiency + drag
     area = energy.body_area + disk
     if speed < energy.hover_speed:
         return (

@@ -144,7 +144,6 @@ LINES = [
         "farm.battery.failsafe has no effect while farm.battery.capacity is 0.0.",
     ),
     (["--farm.battery.stations", "9"], "farm.battery.stations has no effect while farm.battery.capacity is 0.0."),
-    (["--farm.stress.radius", "9"], "farm.stress.radius has no effect while farm.stress.patches is 0."),
     (["--env.steps", "30"], "env.steps has no effect while env.name is farm."),
     (["--farm.relay.base", "south"], "farm.relay.base has no effect while farm.relay.require_link is false."),
     (

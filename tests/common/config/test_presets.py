@@ -29,7 +29,6 @@ PRINTED = {
     "farm.world.sensor_cycles": (40, 50, 60),
     "farm.world.vdf_cycle": 30,
     "farm.world.step_seconds": 1.0,
-    "farm.energy.model": "printed",
     # Table 2, hyperparameters
     "farm.reward.positioning": 1.0,
     "farm.reward.energy": 0.005,

@@ -169,12 +169,11 @@ def test_lost_messages_change_nothing():
 
 def test_levels_follow_from_the_last_visit():
     """A level counts its rises since the last visit, up to the largest; the order of reports does not matter."""
-    due, cycle = np.array([3, 5, 2**30]), np.array([3, 10, 2**30])
-    levels = Levels(due, cycle, np.array([0.0, 2.0, 1.0]), 4)
+    levels = Levels(np.array([3, 10, 2**30]), np.array([0.0, 2.0, 1.0]), 4)
     assert levels.at(0).tolist() == [0.0, 2.0, 1.0]
-    assert levels.at(9).tolist() == [3.0, 3.0, 1.0]
+    assert levels.at(9).tolist() == [3.0, 2.0, 1.0]
     assert levels.at(100).tolist() == [4.0, 4.0, 1.0]
-    assert levels.due(9).tolist() == [12, 15, 2**30]
+    assert levels.due(9).tolist() == [12, 10, 2**30]
     levels.visit(np.array([0, 1], np.int32), 9)
     levels.visit(np.array([0], np.int32), 4)
     assert levels.at(9).tolist() == [0.0, 0.0, 1.0]

@@ -41,7 +41,6 @@ LOPSIDED = replace(
             plots_y=2,
             steps=60,
             start_levels="random",
-            cycle_phase="random",
         ),
         height_communication=60.0,
         height_collection=5.0,

@@ -96,7 +96,7 @@ def test_steering_allows_for_the_wind():
 
 def test_what_steering_commands_is_flown():
     """In a steady wind, every UAV makes over ground what was commanded, to the rounding of actions."""
-    config = replace(SHORT, wind=WindConfig(speed=6.0, direction=240.0))
+    config = replace(SHORT, wind=WindConfig(speed=6.0))
     batch, policy = FarmBatch(config, 1), policy_of("greedy", config)
     batch.reset(0, 1, 2)
     policy.reset(batch, 0)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eia_sec.common.config import EnergyConfig, FarmConfig, StressConfig, WorldConfig
+from eia_sec.common.config import FarmConfig, StressConfig, WorldConfig
 from eia_sec.rollout.evaluation import evaluate
 from eia_sec.rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from eia_sec.rollout.heuristics.registry import HEURISTICS, TASKS
@@ -178,9 +178,8 @@ def test_aim_never_costs_a_step(wind):
 
 
 def test_who_waits_flies_at_the_cheapest_speed():
-    """The printed model is cheapest at 0.41 m/s; a waiting UAV flies back and forth at that speed."""
+    """Flight is cheapest at 0.41 m/s; a waiting UAV flies back and forth at that speed."""
     assert loiter_speed(SMALL) == pytest.approx(0.41, abs=0.02)
-    assert loiter_speed(FarmConfig(energy=EnergyConfig(model="physical"))) == pytest.approx(1.0, abs=0.01)
     policy = policy_of("lawnmower", SMALL)
     farms = begin(SMALL, policy, [(7, 1)])
     start = farms.position[0, 0].copy()

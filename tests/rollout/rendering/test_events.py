@@ -15,6 +15,7 @@ from eia_sec.rollout.rendering.render import Renderer
 from eia_sec.rollout.rendering.scene import Observer, chain_of, hop_lines, links_up
 from eia_sec.rollout.rendering.terminal import ALARM, terminal_text
 from eia_sec.rollout.sim.batch import FarmBatch
+from tests.constants import with_constants
 
 
 def flown(config, steps):
@@ -44,7 +45,7 @@ def test_patches_and_broken_links_are_drawn_where_there_are_any(some):
     """Their colours are in the picture only of farms that have them."""
     config = FarmConfig()
     if some:
-        stress = StressConfig(patches=6, radius=60.0, seconds=500.0)
+        stress = with_constants(StressConfig(patches=6), seconds=500.0)
         config = replace(config, stress=stress, relay=replace(config.relay, require_link=True, link_range=20.0))
     pixels = colours(config, 400)
     assert has(pixels, STRESS) == some
@@ -53,7 +54,7 @@ def test_patches_and_broken_links_are_drawn_where_there_are_any(some):
 
 def test_a_scene_has_the_patches_that_there_are_now():
     """Those before their first step and after their last one are not shown."""
-    farms = flown(FarmConfig(stress=StressConfig(patches=8, radius=30.0, seconds=60.0)), 200)
+    farms = flown(FarmConfig(stress=with_constants(StressConfig(patches=8), radius=30.0, seconds=60.0)), 200)
     scene = Observer(farms, 0).scene()
     first, end = farms.patch_time[0].T
     lives = (first <= 200) & (end > 200)

@@ -73,9 +73,9 @@ class Course:
     def due(self) -> tuple[np.ndarray, np.ndarray]:
         """Return at which of the T steps AoI [T, S] and VDF [T, n_px, n_py] are due to rise."""
         world, step = self.flight.config.world, np.arange(1, self.steps + 1)
-        age = (step[:, None] - self.layout.sensor_phase) % self.layout.sensor_cycle_steps == 0
+        age = step[:, None] % self.layout.sensor_cycle_steps == 0
         cycle = round(world.vdf_cycle / world.step_seconds)
-        return age, (step[:, None, None] - self.layout.plot_phase) % cycle == 0
+        return age, np.broadcast_to((step % cycle == 0)[:, None, None], (len(step), world.plots_x, world.plots_y))
 
 
 STARTING = ("position", "direction", "aoi", "vdf", "assignment", "service", "observation")

@@ -17,7 +17,7 @@ def test_a_layout_is_a_pure_function_of_its_seed():
     """Equal for equal seeds, also when made anew; another for another seed."""
     first = make_layout.__wrapped__(FarmConfig(), 7)
     again = make_layout.__wrapped__(FarmConfig(), 7)
-    for name in ("sensor_xy", "sensor_type", "sensor_cycle_steps", "sensor_phase", "plot_phase", "cell_start"):
+    for name in ("sensor_xy", "sensor_type", "sensor_cycle_steps", "cell_start"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert not np.array_equal(first.sensor_xy, make_layout(FarmConfig(), 8).sensor_xy)
 
@@ -57,16 +57,6 @@ def test_types_are_balanced_and_set_the_cycle():
     assert sorted(np.bincount(layout.sensor_type).tolist()) == [133, 133, 134]
     np.testing.assert_array_equal(layout.sensor_cycle_steps, np.array([80, 100, 120])[layout.sensor_type])
     assert (np.diff(layout.sensor_type) != 0).mean() > 0.5
-    assert not layout.sensor_phase.any()
-    assert not layout.plot_phase.any()
-
-
-def test_random_phases_lie_inside_their_cycles():
-    """Only under the switch, and spread over the whole cycle."""
-    layout = make_layout(FarmConfig(world=WorldConfig(cycle_phase="random")), 0)
-    assert (layout.sensor_phase < layout.sensor_cycle_steps).all()
-    assert len(np.unique(layout.sensor_phase)) > 30
-    assert set(np.unique(layout.plot_phase)) == set(range(30))
 
 
 def test_sensors_are_numbered_cell_by_cell():

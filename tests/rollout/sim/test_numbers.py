@@ -11,9 +11,6 @@ from eia_sec.rollout.sim.reference.farm import free_space_loss, noise_mw, packet
 from eia_sec.rollout.sim.reference.power import flight_power, other_power
 from tests.constants import with_constants
 
-PRINTED = EnergyConfig(model="printed")
-PHYSICAL = EnergyConfig(model="physical")
-
 
 def numbers(config: FarmConfig):
     return constants(config)
@@ -25,22 +22,13 @@ def kernel_plr(radio: RadioConfig, distance: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("energy", "speed", "power", "tolerance"),
-    [
-        (PRINTED, 0.0, 13.3, 0.05),
-        (PRINTED, 0.41, 1.60, 0.005),
-        (PRINTED, 10.0, 23.8, 0.05),
-        (PRINTED, 14.14, 36.1, 0.1),
-        (PHYSICAL, 0.0, 6.0, 0.3),
-        (PHYSICAL, 10.0, 4.6, 0.05),
-        (PHYSICAL, 14.14, 9.8, 0.05),
-    ],
+    ("speed", "power", "tolerance"), [(0.0, 13.3, 0.05), (0.41, 1.60, 0.005), (10.0, 23.8, 0.05), (14.14, 36.1, 0.1)]
 )
-def test_flight_power_is_what_the_readings_say(energy, speed, power, tolerance):
-    """Hovering and forward power of both models, in the reference and in the kernel."""
-    assert flight_power(energy, speed) == pytest.approx(power, abs=tolerance)
-    kernel = compiled_flight_power(numbers(FarmConfig(energy=energy)).flight, speed)
-    assert kernel == pytest.approx(flight_power(energy, speed), rel=1e-12)
+def test_flight_power_is_what_the_readings_say(speed, power, tolerance):
+    """Hovering and forward power, in the reference and in the kernel."""
+    assert flight_power(EnergyConfig(), speed) == pytest.approx(power, abs=tolerance)
+    kernel = compiled_flight_power(numbers(FarmConfig()).flight, speed)
+    assert kernel == pytest.approx(flight_power(EnergyConfig(), speed), rel=1e-12)
 
 
 def test_powers_given_in_dbm_are_added_in_watts():

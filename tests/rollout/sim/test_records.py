@@ -13,6 +13,7 @@ from eia_sec.common.config.farm import BatteryConfig, StressConfig
 from eia_sec.rollout.sim.core import lattice
 from eia_sec.rollout.sim.core.compile import allocation_free, sources_digest
 from eia_sec.rollout.sim.core.records import Array, Int32, make_record, numbers, row_maker
+from tests.constants import with_constants
 
 SCRIPT = """
 from eia_sec.common.config.farm import StressConfig
@@ -23,7 +24,7 @@ from eia_sec.rollout.sim.core.records import numbers
 def radius(stress):
     return stress.radius
 
-print(radius(numbers(StressConfig(radius=60.0))), sum(radius.stats.cache_hits.values()))
+print(radius(numbers(StressConfig())), sum(radius.stats.cache_hits.values()))
 """
 
 
@@ -56,9 +57,10 @@ def test_a_row_holds_views():
 
 
 def test_numbers_of_a_section_have_their_declared_types():
-    """An integer that stands for a float becomes one, properties count, and what is no number is left out."""
-    stress, battery = numbers(StressConfig(radius=60, patches=2)), numbers(BatteryConfig(capacity=5))
+    """An integer for a float becomes one, constants and properties count, and what is no number is left out."""
+    stress, battery = numbers(with_constants(StressConfig(patches=2), radius=50)), numbers(BatteryConfig(capacity=5))
     assert isinstance(stress.radius, float)
+    assert type(stress) is type(numbers(StressConfig()))
     assert stress.some is True
     assert battery.capacity == 5.0
     assert not hasattr(stress, "areas")

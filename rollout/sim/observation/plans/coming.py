@@ -22,9 +22,9 @@ def know_plots(c: Constants, farm: Farm, plan: PlanScratch) -> None:
             known = is_known(
                 farm.patch_place, farm.patch_time, farm.patch_known, c.stress.radius * c.stress.radius, step, x, y
             )
-            cycle = shortened(camera.cycle, farm.plot_cycle[2, column, row], c.stress.growth, known)
+            cycle = shortened(camera.cycle, farm.plot_cycle[1, column, row], c.stress.growth, known)
             cycle = min(cycle, NEVER)
-            plan.due[site], plan.cycle[site] = next_due(step + 1, farm.plot_cycle[1, column, row], cycle), cycle
+            plan.due[site], plan.cycle[site] = next_due(step + 1, cycle), cycle
         else:
             plan.due[site], plan.cycle[site] = farm.level_due[column, row], min(camera.cycle, NEVER)
 
@@ -39,8 +39,8 @@ def know_sensors(c: Constants, farm: Farm, plan: PlanScratch) -> None:
             known = is_known(
                 farm.patch_place, farm.patch_time, farm.patch_known, c.stress.radius * c.stress.radius, step, x, y
             )
-            cycle = shortened(usual[0, site], usual[2, site], c.stress.growth, known)
-            plan.due[site], plan.cycle[site] = next_due(step + 1, usual[1, site], cycle), cycle
+            cycle = shortened(usual[0, site], usual[1, site], c.stress.growth, known)
+            plan.due[site], plan.cycle[site] = next_due(step + 1, cycle), cycle
         else:
             plan.due[site], plan.cycle[site] = farm.age_due[site], farm.cycle[site]
 

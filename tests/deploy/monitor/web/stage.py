@@ -48,7 +48,7 @@ CONDITIONS = replace(
     CONFIG,
     farm=replace(
         CONFIG.farm,
-        stress=StressConfig(patches=4, radius=12.0, seconds=200.0, areas=((2, AREA),)),
+        stress=StressConfig(patches=4, areas=((2, AREA),)),
         battery=BatteryConfig(capacity=8_000.0, stations=2),
         failures=FailureConfig(at="collection 1 at 5"),
         relay=replace(CONFIG.farm.relay, require_link=True, link_range=40.0),

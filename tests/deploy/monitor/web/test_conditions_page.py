@@ -10,6 +10,8 @@ from tests.deploy.monitor.web.test_watch_page import jump, looking
 
 pytestmark = pages.pytestmark
 FARM = CONDITIONS.farm
+RADIUS = 12.0
+"""Of patches as the page draws them, m; those of the farm would cover all of it."""
 SIGNS = ("link out of range, 40 m", "charging station", "UAV that has failed", "patch of stress", "area of faster")
 """The legend's lines for what only some farms have."""
 EVENTFUL = """(() => { const p = watching.past;
@@ -76,6 +78,7 @@ def test_the_page_shows_what_only_some_farms_have():
         assert gone.tolist() == [False, False, False, False, True]
         assert all(sign in page.inner_text("#signs") for sign in SIGNS)
         redraw(page, "Object.assign(watching.view.scene.reach, {monitoring: 0, collection: 0})")
+        redraw(page, f"watching.view.scene.stress.radius = {RADIUS}")
         assert close(pixels(page, position[gone]), GONE).all()
         assert bars_match(page, position[~gone], np.array(frame["charge"])[~gone] / 255)
         assert links_are_red(page)
@@ -154,7 +157,7 @@ def patches_are_tinted(page, frame):
     changed = np.abs(with_patches - without).max(axis=1) > 2
     lives = [(x, y) for x, y, first, end in frame["patches"] if first <= frame["step"] < end]
     apart = np.min([np.hypot(*(grid - place).T) for place in lives], axis=0)
-    radius = FARM.stress.radius
+    radius = RADIUS
     nearer = [np.abs(colours[changed] - rgb(STRESS)).sum(axis=1).mean() for colours in (with_patches, without)]
     assert nearer[0] < nearer[1]
     return changed[apart < radius - 1].mean() > 0.6 and not changed[apart > radius + 1].any()

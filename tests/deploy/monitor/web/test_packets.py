@@ -51,7 +51,7 @@ def test_a_scene_says_what_the_farm_has():
     """Stations, radii and colours are those of the configuration and of the other pictures."""
     scene, _ = unpacked(packets.scene("run", "w", CONDITIONS.farm, TERMS))
     assert scene["stations"] == station_places(CONDITIONS.farm).tolist()
-    assert scene["stress"] == {"colour": STRESS, "radius": 12.0}
+    assert scene["stress"] == {"colour": STRESS, "radius": 60.0}
     assert scene["areas"] == {"colour": STRESS, "outlines": [[list(corner) for corner in AREA]]}
     assert scene["link_down"] == {"colour": LINK_DOWN, "range": 40.0}
     assert scene["gone"] == GONE

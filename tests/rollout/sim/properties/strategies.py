@@ -214,7 +214,6 @@ def renumbered(config: FarmConfig, layout: Layout, xy: np.ndarray) -> tuple[Layo
         sensor_xy=np.ascontiguousarray(xy[order]),
         sensor_type=layout.sensor_type[order],
         sensor_cycle_steps=layout.sensor_cycle_steps[order],
-        sensor_phase=layout.sensor_phase[order],
         cells=cells,
         cell_start=start,
     )

@@ -56,7 +56,6 @@ def airspaces(draw: st.DrawFn, configs: st.SearchStrategy[FarmConfig]) -> FarmCo
     world, slowest = config.world, min(config.world.speed_x_max, config.world.speed_y_max)
     wind = WindConfig(
         speed=slowest * draw(st.sampled_from([0.0, 0.3, 1.0])),
-        direction=draw(st.sampled_from([-1.0, 0.0, 30.0, 270.0])),
         gusts=slowest * draw(st.sampled_from([0.0, 0.2, 3.0])),
     )
     given_zones = tuple(draw(st.lists(polygons(world), max_size=3)))

@@ -33,9 +33,8 @@ def outlines(draw: st.DrawFn) -> Polygon:
 def stresses(draw: st.DrawFn) -> StressConfig:
     """Draw patches, areas or both; many patches begin, end and overlap within a short episode."""
     areas = tuple(draw(st.lists(st.tuples(st.integers(1, 9), outlines()), max_size=3)))
-    return StressConfig(
-        areas=areas,
-        patches=draw(st.integers(0 if areas else 1, 12)),
+    return with_constants(
+        StressConfig(areas=areas, patches=draw(st.integers(0 if areas else 1, 12))),
         radius=draw(st.sampled_from([3.0, 17.3, 61.7, 1000.0])),
         growth=draw(st.integers(1, 9)),
         seconds=draw(st.sampled_from([0.1, 2.0, 7.0, 500.0])),
@@ -72,7 +71,7 @@ def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
 def test_stress_of_no_growth_changes_nothing(flight: Flight, stress: StressConfig):
     """With growth 1, the episode is bit-equal to one without patches and areas."""
     areas = tuple((1, corners) for _, corners in stress.areas)
-    with_stress = replace(flight.config, stress=replace(stress, growth=1, areas=areas))
+    with_stress = replace(flight.config, stress=with_constants(replace(stress, areas=areas), growth=1))
     one, two = begin(replace(flight, config=with_stress)), begin(flight)
     for action in flight.actions():
         one.step(action[None])
@@ -83,7 +82,7 @@ def test_stress_of_no_growth_changes_nothing(flight: Flight, stress: StressConfi
 
 def test_counters_rise_faster_in_a_patch_and_as_before_after_it():
     """A plot that nobody visits rises at the multiples of its cycle, which is shorter while a patch covers it."""
-    config = FarmConfig(stress=StressConfig(patches=1, radius=1000.0, growth=3, seconds=100.0))
+    config = FarmConfig(stress=with_constants(StressConfig(patches=1), radius=1000.0, seconds=100.0))
     config = replace(config, camera=with_constants(config.camera, image_distance=1.0))
     farms = FarmBatch(config, 1)
     farms.reset(0, 3, 1)
@@ -103,7 +102,7 @@ def test_counters_rise_faster_in_a_patch_and_as_before_after_it():
 
 def test_a_patch_is_known_from_the_step_in_which_a_uav_with_a_task_is_over_it():
     """Nobody knows a patch that no monitor and no collector has been over, and it then fades with its end."""
-    config = stressed(FarmConfig(), StressConfig(patches=3, radius=40.0, seconds=60.0))
+    config = stressed(FarmConfig(), with_constants(StressConfig(patches=3), radius=40.0, seconds=60.0))
     farms = FarmBatch(config, 1)
     farms.reset(0, 5, 2)
     place, time = patches(config, 5, 2)
@@ -142,7 +141,9 @@ LOWER = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0))
 def test_counters_in_areas_rise_at_their_own_cycles_from_the_start():
     """Cycle 30 becomes 15 in the left quarter and 10 in the lower one, which wins where both are; a patch of 5 wins."""
     config = FarmConfig(
-        stress=StressConfig(patches=1, radius=1000.0, growth=5, seconds=60.0, areas=((2, LEFT), (3, LOWER)))
+        stress=with_constants(
+            StressConfig(patches=1, areas=((2, LEFT), (3, LOWER))), radius=1000.0, growth=5, seconds=60.0
+        )
     )
     config = replace(config, camera=with_constants(config.camera, image_distance=1.0))
     farms = FarmBatch(config, 1)

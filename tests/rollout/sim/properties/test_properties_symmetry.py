@@ -153,7 +153,6 @@ class Pair:
         config, size, turned = flight.config, flight.size, symmetry.config(flight.config)
         layout, _ = renumbered(config, flight.layout(), lattice(flight.layout().sensor_xy, FINE))
         moved, order = renumbered(turned, layout, symmetry.places(layout.sensor_xy, size))
-        moved = replace(moved, plot_phase=symmetry.plots(layout.plot_phase))
         place = lattice(flight.positions(), 64)
         age, level = start_levels(config.world, flight.farm, flight.episode)
         farm = start(config, flight, layout, place, (age, level))
