@@ -67,7 +67,8 @@ COMMANDS: Final = {
         "eia_sec.deploy.commands.policies.simulator", "simulate the vehicles that eia-sec fly controls"
     ),
     "bridge": Command(
-        "eia_sec.deploy.commands.policies.bridge", "connect a vehicle's autopilot to eia-sec fly: MAVLink"
+        "eia_sec.deploy.commands.policies.bridge",
+        "connect a vehicle's autopilot to eia-sec fly: MAVLink, or PX4's own Zenoh",
     ),
     "keys": Command("eia_sec.deploy.commands.fleet.keys", "make and renew the certificates that --tls needs"),
     "audit": Command("eia_sec.deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),

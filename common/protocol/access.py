@@ -165,7 +165,7 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
     ]
 
     def allow(owner: str, grants: Sequence[Grant], name: str, holders: list[str]) -> None:
-        made = _rules(owner, grants, name)
+        made = _rules(owner, [pair for grant in grants for pair in grant.expressions(name)])
         if made and holders:
             rules.extend(made)
             policies.append({"rules": [rule["id"] for rule in made], "subjects": holders})
@@ -177,6 +177,28 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
         for member in listed:
             if member.role == role:
                 allow(str(member), [g for g in mine if g.personal], member.name, [str(member)])
+    return _list_of(rules, subjects, policies, enabled)
+
+
+def px4_access() -> dict[str, Any]:
+    """Return Zenoh's `access_control` for the listener of one vehicle's bridge, to which its PX4 connects.
+
+    PX4's Zenoh has no certificate. Whoever connects may tell PX4's topics and read set-points, and nothing else: it can
+    neither command the vehicle in the bridge's place, nor reach any key of ours.
+    """
+    expressions: list[tuple[str, str]] = []
+    for topic in keys.PX4_TOPICS:
+        rights = ("put", _SEES["put"]) if topic.told else ("read",)
+        expressions += [(right, topic.key("*")) for right in rights]
+    rules = _rules("px4", expressions)
+    subjects = [{"id": "px4", "link_protocols": ["tcp"]}]
+    return _list_of(rules, subjects, [{"rules": [rule["id"] for rule in rules], "subjects": ["px4"]}])
+
+
+def _list_of(
+    rules: list[dict[str, Any]], subjects: list[dict[str, Any]], policies: list[dict[str, Any]], enabled: bool = True
+) -> dict[str, Any]:
+    """Return an allow-list."""
     return {
         "enabled": enabled,
         "default_permission": "deny",
@@ -186,10 +208,9 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
     }
 
 
-def _rules(owner: str, grants: Sequence[Grant], name: str) -> list[dict[str, Any]]:
-    """Return one rule for each right and direction that the grants need."""
+def _rules(owner: str, expressions: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """Return one rule for each right and direction that pairs of right and key expression need."""
     rules = []
-    expressions = [pair for grant in grants for pair in grant.expressions(name)]
     for right, (incoming, outgoing) in RIGHTS.items():
         covered = sorted({expression for found, expression in expressions if found == right})
         for flow, messages in (("ingress", incoming), ("egress", outgoing)):

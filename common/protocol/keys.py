@@ -29,6 +29,8 @@ A flight node is watched as a worker is, under its own name.
 
 A served environment belongs to no run: ENVIRONMENT_ROOT precedes the last two. docs/reference/remote_protocol.md says
 what a program without this package needs to know of them.
+
+Keys of another program's protocol are in no family: PX4_TOPICS.
 """
 
 import re
@@ -252,6 +254,40 @@ FAMILIES: Final = (
     ENVIRONMENT,
     ENVIRONMENT_LIVE,
 )
+
+
+@dataclass(frozen=True)
+class Px4Topic:
+    """The keys of a topic of PX4's own Zenoh module, which names them as rmw_zenoh does.
+
+    They are used between one vehicle's autopilot and its bridge, on a link of their own.
+
+    Attributes:
+        topic: the ROS topic.
+        kind: its type in px4_msgs.
+        told: whether the autopilot sends it; else it reads it.
+    """
+
+    topic: str
+    kind: str
+    told: bool
+
+    def key(self, type_hash: str) -> str:
+        """Return the key for a version of the type.
+
+        Args:
+            type_hash: RIHS01_ and 64 hexadecimal digits; "*" for all versions.
+        """
+        return f"{PX4_DOMAIN}/{self.topic}/px4_msgs::msg::dds_::{self.kind}_/{type_hash}"
+
+
+PX4_DOMAIN: Final = 0
+"""PX4's parameter ZENOH_DOMAIN_ID; its default."""
+PX4_POSITION: Final = Px4Topic("fmu/out/vehicle_local_position", "VehicleLocalPosition", told=True)
+PX4_STATUS: Final = Px4Topic("fmu/out/vehicle_status", "VehicleStatus", told=True)
+PX4_OFFBOARD: Final = Px4Topic("fmu/in/offboard_control_mode", "OffboardControlMode", told=False)
+PX4_SETPOINT: Final = Px4Topic("fmu/in/trajectory_setpoint", "TrajectorySetpoint", told=False)
+PX4_TOPICS: Final = (PX4_POSITION, PX4_STATUS, PX4_OFFBOARD, PX4_SETPOINT)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from eia_sec.common.loops import Loop, run
 from eia_sec.common.text import printable
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 from eia_sec.common.transport.handshake import complaint, silence
-from eia_sec.common.transport.zenoh_config import Values, connecting, listening, routing
+from eia_sec.common.transport.zenoh_config import Values, admitting_px4, connecting, listening, routing
 
 if TYPE_CHECKING:
     from eia_sec.common.transport.credentials import (
@@ -206,6 +206,11 @@ class Bus:
     def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
         """Open a session that others connect to; raise EndpointError when this machine cannot listen there."""
         return cls._listening(listening(endpoint, lane), endpoint, endpoint.locator(lane))
+
+    @classmethod
+    def admit_px4(cls, endpoint: Endpoint) -> "Bus":
+        """Open a session to which one vehicle's PX4 connects; raise EndpointError when this machine cannot listen."""
+        return cls._listening(admitting_px4(endpoint), endpoint, endpoint.locator("control"))
 
     @classmethod
     def route(cls, endpoint: Endpoint) -> "Bus":

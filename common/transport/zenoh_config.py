@@ -7,7 +7,7 @@ by multicast and gossip is always off.
 import json
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from eia_sec.common.protocol.access import access_control
+from eia_sec.common.protocol.access import access_control, px4_access
 from eia_sec.common.protocol.frame import MAX_FRAME
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 
@@ -63,6 +63,11 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
         values["transport/link/protocols"] = ["tls"]
         values["access_control"] = access_control(credentials.members)
     return values
+
+
+def admitting_px4(endpoint: Endpoint) -> Values:
+    """Return the configuration of a session to which one vehicle's PX4 connects, and nobody beside it."""
+    return listening(endpoint, "control") | {"access_control": px4_access(), "transport/unicast/max_sessions": 1}
 
 
 def routing(endpoint: Endpoint) -> Values:

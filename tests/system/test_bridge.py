@@ -1,17 +1,18 @@
-"""A whole way: a flight node, a bridge in a process of its own, and an autopilot at the end of MAVLink."""
+"""A whole way: a flight node, a bridge in a process of its own, and an autopilot at the end of its protocol."""
 
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from eia_sec.common.config.files import to_toml
 from eia_sec.common.transport.bus import Bus
-from eia_sec.common.transport.endpoint import free_endpoint
+from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
-from tests.deploy.flight.mavlink_autopilot import FakeMavlink, free_port
+from tests.deploy.flight.autopilot import FakeAutopilot
 from tests.system.fleet import RUN, TINY, configured, until
 
 SECONDS = 90.0
@@ -26,28 +27,46 @@ def start(*command: str, log: Path, **streams) -> subprocess.Popen[bytes]:
         )
 
 
+def autopilot_of(kind: str, where: str, opened: ExitStack) -> FakeAutopilot:
+    """Return what the bridge connects, with its own way to it."""
+    if kind == "mavlink":
+        from tests.deploy.flight.mavlink_autopilot import FakeMavlink  # noqa: PLC0415 - an extra that may be missing
+
+        autopilot: FakeAutopilot = FakeMavlink(int(where.rpartition(":")[2]), time.monotonic)
+    else:
+        from tests.deploy.flight.px4_autopilot import FakePx4  # noqa: PLC0415 - as the other way is imported
+
+        wire = opened.enter_context(Bus.connect(Endpoint.parse(where), "control", wait=SECONDS))
+        autopilot = FakePx4(wire, time.monotonic)
+    opened.callback(autopilot.close)
+    autopilot.place[:2] = [50.0, 50.0]
+    return autopilot
+
+
 @pytest.mark.parametrize("end", ["node", "bridge"])
-def test_a_heuristic_flies_an_autopilot_and_whoever_dies_the_vehicle_stops(end: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["mavlink", "px4"])
+def test_a_heuristic_flies_an_autopilot_and_whoever_dies_the_vehicle_stops(kind: str, end: str, tmp_path: Path) -> None:
     """It moves once the pilot has armed it and chosen Offboard; after kill -9 of either program it stands still."""
-    config, endpoint, port = configured(TINY), free_endpoint(), free_port()
+    pytest.importorskip({"mavlink": "pymavlink", "px4": "rosbags"}[kind])
+    config, endpoint, other = configured(TINY), free_endpoint(), free_endpoint()
+    where = str(other) if kind == "px4" else f"udpin:127.0.0.1:{other.port}"
     farm = tmp_path / "farm.toml"
     farm.write_text(to_toml(config), encoding="utf-8")
     names = [name for group in ("communication", "monitoring", "collection") for name in names_of(config.farm, group)]
-    autopilot = FakeMavlink(port, time.monotonic)
-    autopilot.place[:2] = [50.0, 50.0]
     node = start(
         *("fly", "--policy", "lawnmower", "--config", str(farm), "--run", RUN, "--connect", str(endpoint)),
         *("--vehicle", f"{UAV}={AGENT}", "--patience", str(SECONDS)),
         log=tmp_path / "fly.log",
     )
     bridge = start(
-        *("bridge", "mavlink", "--vehicle", f"{UAV}={AGENT}", "--autopilot", f"udpin:127.0.0.1:{port}"),
+        *("bridge", kind, "--vehicle", f"{UAV}={AGENT}", "--autopilot", where),
         *("--local", "0", "0", "--run", RUN, "--connect", str(endpoint), "--reports", "--patience", str(SECONDS)),
         log=tmp_path / "bridge.log",
         stdin=subprocess.PIPE,
     )
     try:
-        with Bus.listen(endpoint, "control") as bus:
+        with Bus.listen(endpoint, "control") as bus, ExitStack() as opened:
+            autopilot = autopilot_of(kind, where, opened)
             others = [VehicleLink(bus, RUN, name, name, (10.0, 10.0)) for name in names if name != AGENT]
 
             def turn() -> bool:
@@ -75,7 +94,6 @@ def test_a_heuristic_flies_an_autopilot_and_whoever_dies_the_vehicle_stops(end: 
         for process in (node, bridge):
             process.kill()
             process.wait(10.0)
-        autopilot.close()
 
 
 def names_of(farm, group):

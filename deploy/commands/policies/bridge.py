@@ -4,9 +4,12 @@ import queue
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import tyro
 
 from eia_sec.common.config.checks import positive, within
 from eia_sec.common.errors import UsageError
@@ -16,8 +19,9 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.commands.policies.fly import vehicles_of
-from eia_sec.deploy.flight.bridge import Bridge
+from eia_sec.deploy.flight.bridge import Autopilot, Bridge
 from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
+from eia_sec.deploy.flight.px4 import Px4Autopilot
 from eia_sec.deploy.flight.vehicle import HEIGHTS, VehicleLink
 from eia_sec.deploy.options import parse
 
@@ -26,15 +30,9 @@ WAITING: Final = 256
 
 
 @dataclass(frozen=True)
-class MavlinkArguments:
-    """Connect an autopilot over MAVLink: PX4 in Offboard, ArduPilot in Guided; arming and modes stay the pilot's."""
-
+class _Arguments:
     vehicle: str
     """The vehicle as NAME=AGENT, for example uav-7=monitoring_0."""
-    autopilot: str = "udpin:127.0.0.1:14540"
-    """Connection to the autopilot as pymavlink names it, udpin:0.0.0.0:14540 or /dev/ttyACM0 for instance."""
-    system: int = 1
-    """The vehicle's MAVLink system."""
     local: tuple[float, float] | None = None
     """East and north of the autopilot's own origin in the field, m. Default: tell latitude and longitude, and give
     --origin to `eia-sec fly`."""
@@ -42,8 +40,6 @@ class MavlinkArguments:
     """Largest speed along x and y that is obeyed, m/s; faster set-points are refused."""
     heights: tuple[float, float] = HEIGHTS
     """Lowest and highest height that is obeyed, m above the autopilot's home; other set-points are refused."""
-    baud: int = 115200
-    """Baud rate of a serial line."""
     rate: float = 20.0
     """Set-points to the autopilot and poses to the flight node per second, at least 2."""
     reports: bool = False
@@ -58,45 +54,80 @@ class MavlinkArguments:
     """Seconds to wait for a listener."""
 
 
+@dataclass(frozen=True)
+class MavlinkArguments(_Arguments):
+    """Connect an autopilot over MAVLink: PX4 in Offboard, ArduPilot in Guided; arming and modes stay the pilot's."""
+
+    autopilot: str = "udpin:127.0.0.1:14540"
+    """Connection to the autopilot as pymavlink names it, udpin:0.0.0.0:14540 or /dev/ttyACM0 for instance."""
+    system: int = 1
+    """The vehicle's MAVLink system."""
+    baud: int = 115200
+    """Baud rate of a serial line."""
+
+
+@dataclass(frozen=True)
+class Px4Arguments(_Arguments):
+    """Connect PX4 over its own Zenoh module, in Offboard; arming and modes stay the pilot's."""
+
+    autopilot: str = "tcp/127.0.0.1:7449"
+    """Endpoint where the bridge listens for PX4 (`zenoh config net client tcp/127.0.0.1:7449` on PX4)."""
+    insecure: bool = False
+    """Let the bridge listen beyond this machine, though PX4's Zenoh has no certificate: for a cable of its own."""
+
+
+@dataclass(frozen=True)
+class BridgeArguments:
+    """Connect a vehicle's autopilot to `eia-sec fly`, in the protocol that it speaks."""
+
+    kind: Annotated[
+        Annotated[MavlinkArguments, tyro.conf.subcommand("mavlink")]
+        | Annotated[Px4Arguments, tyro.conf.subcommand("px4")],
+        tyro.conf.arg(name=""),
+    ]
+
+
 def command(arguments: Sequence[str]) -> int:
     """Pass poses and set-points on until interrupted; return 0."""
-    options = parse(MavlinkArguments, _after_kind(arguments), "bridge mavlink")
+    options = parse(BridgeArguments, arguments, "bridge").kind
     check_name(options.run, "run")
     within(2.0, 1000.0, rate=options.rate)
-    within(1, 255, system=options.system)
-    positive(patience=options.patience, fastest=min(options.fastest), baud=options.baud)
+    positive(patience=options.patience, fastest=min(options.fastest))
     if not 0.0 < options.heights[0] < options.heights[1]:
         raise UsageError("--heights takes the lowest height above the ground and a higher one, m.")
+    if isinstance(options, MavlinkArguments):
+        within(1, 255, system=options.system)
+        positive(baud=options.baud)
+    else:
+        Endpoint.parse(options.autopilot).require_private(options.insecure)
     ((vehicle, agent),) = vehicles_of([options.vehicle]).items()
     endpoint = Endpoint.parse(options.connect, options.tls)
     if endpoint.credentials is not None:
         endpoint.credentials.require("vehicle", vehicle)
     stop = StopSignal()
     stop.install()
-    how = MavlinkOptions(options.autopilot, options.system, options.local, options.baud)
-    with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
+    with ExitStack() as opened:
+        bus = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
         link = VehicleLink(bus, options.run, vehicle, agent, options.fastest, heights=options.heights)
-        bridge = Bridge(link, MavlinkAutopilot(how))
+        bridge = Bridge(link, _autopilot(options, opened))
+        opened.callback(bridge.close)
         lines = _Lines() if options.reports else None
         log(f"{vehicle} flies as {agent}; its autopilot is at {options.autopilot}.")
-        try:
-            while not stop.event.wait(1.0 / options.rate):
-                if lines is not None:
-                    link.serve(lines.numbers())
-                bridge.turn()
-        finally:
-            bridge.close()
+        while not stop.event.wait(1.0 / options.rate):
+            if lines is not None:
+                link.serve(lines.numbers())
+            bridge.turn()
     log(f"{bridge.sent} set-points sent, {link.refused} refused, {link.lapses} ran out of validity.")
     return 0
 
 
-def _after_kind(arguments: Sequence[str]) -> list[str]:
-    """Return the options after the kind of bridge; raise UsageError where it is missing."""
-    if arguments and arguments[0] in ("--help", "-h"):
-        return ["--help"]
-    if not arguments or arguments[0] != "mavlink":
-        raise UsageError("eia-sec bridge takes the kind of autopilot first: mavlink.")
-    return list(arguments[1:])
+def _autopilot(options: MavlinkArguments | Px4Arguments, opened: ExitStack) -> Autopilot:
+    """Return the way to the autopilot; what it needs is closed with `opened`."""
+    if isinstance(options, MavlinkArguments):
+        how = MavlinkOptions(options.autopilot, options.system, options.local, options.baud)
+        return MavlinkAutopilot(how)
+    bus = opened.enter_context(Bus.admit_px4(Endpoint.parse(options.autopilot)))
+    return Px4Autopilot(bus, options.local)
 
 
 class _Lines:

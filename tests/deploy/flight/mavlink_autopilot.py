@@ -48,9 +48,10 @@ class FakeMavlink(FakeAutopilot):
         """Read what has come."""
         while (message := self._wire.recv_msg()) is not None:
             kind = message.get_type()
-            if kind == "COMMAND_LONG":
+            if kind == "COMMAND_LONG" and message.command == M.MAV_CMD_SET_MESSAGE_INTERVAL:
+                self._asked = True
+            elif kind == "COMMAND_LONG":
                 self.commands.append(message.command)
-                self._asked |= message.command == M.MAV_CMD_SET_MESSAGE_INTERVAL
             elif kind == "SET_POSITION_TARGET_LOCAL_NED":
                 self._take(message)
 

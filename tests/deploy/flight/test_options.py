@@ -7,6 +7,8 @@ import pytest
 from eia_sec.common.errors import UsageError
 from eia_sec.deploy.commands.policies import bridge, fly
 from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
+from eia_sec.deploy.flight.px4 import Px4Autopilot
+from tests.deploy.flight.air import Air
 from tests.deploy.flight.mavlink_autopilot import free_port
 
 LAWNMOWER = ("--policy", "lawnmower")
@@ -43,8 +45,9 @@ def test_a_flight_that_cannot_begin_is_refused(arguments, sentence, tmp_path, mo
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((), "kind of autopilot first"),
-        (("px4",), "kind of autopilot first"),
+        ((), "one of mavlink, px4"),
+        (("px4",), "missing: --vehicle"),
+        (("px4", "--vehicle", "uav-7=monitoring_0", "--autopilot", "tcp/10.41.10.1:7447"), "--insecure"),
         (("mavlink", "--vehicle", "uav-7"), "NAME=AGENT"),
         ((*BRIDGE, "--rate", "1.0"), "rate must be between 2"),
         ((*BRIDGE, "--system", "0"), "system must be"),
@@ -61,13 +64,16 @@ def test_a_bridge_that_cannot_begin_is_refused(arguments, sentence):
         bridge.command([word.format(port=port) for word in arguments])
 
 
-@pytest.mark.parametrize("package", ["pymavlink", "mcap"])
-def test_a_missing_extra_is_named(package, tmp_path, monkeypatch):
-    """Without pymavlink or mcap, the sentence says what to install."""
+@pytest.mark.parametrize(("package", "extra"), [("pymavlink", "mavlink"), ("mcap", "record"), ("rosbags", "px4")])
+def test_a_missing_extra_is_named(package, extra, tmp_path, monkeypatch):
+    """Without pymavlink, mcap or rosbags, the sentence says what to install."""
     for name in [name for name in sys.modules if name.split(".")[0] == package]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(UsageError, match=r"pip install 'eia-sec\[(mavlink|record)\]'"):
-        fly.command((*LAWNMOWER, "--record", str(tmp_path / "a.mcap"))) if package == "mcap" else MavlinkAutopilot(
-            MavlinkOptions("udpin:127.0.0.1:0")
-        )
+    begin = {
+        "pymavlink": lambda: MavlinkAutopilot(MavlinkOptions("udpin:127.0.0.1:0")),
+        "mcap": lambda: fly.command((*LAWNMOWER, "--record", str(tmp_path / "a.mcap"))),
+        "rosbags": lambda: Px4Autopilot(Air()),
+    }
+    with pytest.raises(UsageError, match=rf"pip install 'eia-sec\[{extra}\]'"):
+        begin[package]()
