@@ -51,9 +51,6 @@ GONE: Final[Mapping[str, int | float | str | list[float]]] = {
     "farm.stress.seconds": 200.0,
     "farm.wind.direction": -1.0,
     "farm.dynamics.airspeed": [12.0],
-    "elite.rate_decay": 0.5,
-    "elite.cycle_growth": 2.0,
-    "replay.intake_chunks": 16,
 }
 """Options of earlier releases that are constants now, with their values. Files may name them with these."""
 

@@ -20,9 +20,9 @@ class EliteConfig:
     """Blend factor of the first event, vartheta*: the share by which parameters move to the elite's."""
     cycle: int = 10
     """First mimicry cycle delta*, episodes; an event is due when delta divides the episode lambda (A1)."""
-    rate_decay: ClassVar[float] = 0.5
+    rate_decay: float = 0.5
     """Factor on vartheta after each event; the paper prints 1/2."""
-    cycle_growth: ClassVar[float] = 2.0
+    cycle_growth: float = 2.0
     """Factor on delta after each event; the paper prints 2."""
     weight_mean: ClassVar[float] = 1.0
     """beta_1, weight of the mean step reward in omega (ours)."""
@@ -34,9 +34,10 @@ class EliteConfig:
 
     def __post_init__(self) -> None:
         """Refuse impossible schedules and scores."""
-        within(0.0, 1.0, rate=self.rate)
+        within(0.0, 1.0, rate=self.rate, rate_decay=self.rate_decay)
         within(1, 1_000_000, cycle=self.cycle)
         within(0, 256, farms=self.farms)
+        within(1.0, 1000.0, cycle_growth=self.cycle_growth)
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class ReplayConfig:
     """Updates per environment step of one farm; the paper's ratio is 1."""
     slack_steps: int = 4_000
     """Environment steps by which workers may lead the updates before they wait (ours)."""
-    intake_chunks: ClassVar[int] = 16
+    intake_chunks: int = 16
     """Most chunks in the learner's intake queue (ours)."""
     max_age_versions: int = 0
     """Largest age of a row's policy, in parameter versions: chunks of older ones are refused, and rows that have become
@@ -66,6 +67,7 @@ class ReplayConfig:
         )
         within(0.0, 1000.0, updates_per_step=self.updates_per_step)
         within(1, 100_000_000, slack_steps=self.slack_steps)
+        within(1, 65_536, intake_chunks=self.intake_chunks)
         if self.warmup_steps > self.capacity * 100:
             raise ConfigError("warmup_steps is more than 100 times the capacity of the replay buffer.")
 

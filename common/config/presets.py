@@ -268,6 +268,8 @@ actor_objective = "local"
 enabled = true
 rate = 0.1
 cycle = 10
+rate_decay = 0.5
+cycle_growth = 2.0
 farms = 1
 [replay]
 capacity = 65536

@@ -6,7 +6,6 @@ from eia_sec.common.config import EliteConfig
 from eia_sec.common.errors import SchemaError
 from eia_sec.common.imitation import ImitationEvent, ImitationSchedule
 from eia_sec.common.team import GroupSpec, TeamSpec
-from tests.constants import with_constants
 
 
 def episodes(schedule: ImitationSchedule, last: int) -> list[int]:
@@ -36,7 +35,7 @@ def test_default_schedule_pulls_as_the_readings_say() -> None:
 
 def test_growth_of_one_repeats() -> None:
     """With growth 1 and decay 1 every tenth episode brings an event of equal strength."""
-    schedule = ImitationSchedule(with_constants(EliteConfig(), cycle_growth=1.0, rate_decay=1.0))
+    schedule = ImitationSchedule(EliteConfig(cycle_growth=1.0, rate_decay=1.0))
     assert episodes(schedule, 35) == [10, 20, 30]
     assert schedule.rate(3) == 0.1
 

@@ -45,6 +45,7 @@ batch = 4
 hidden = 4
 [replay]
 capacity = 256
+intake_chunks = 6
 [exploration]
 """
 ON_POLICY = """
@@ -63,6 +64,8 @@ train_farms = 4
 [elite]
 enabled = true
 cycle = 4
+cycle_growth = 1.0
+rate_decay = 0.9
 farms = 2
 [learner]
 checkpoint_seconds = 2.0

@@ -100,6 +100,7 @@ IMPOSSIBLE = [
     (EiaSecConfig, {"ensemble_members": 0}, "ensemble_members"),
     (EliteConfig, {"rate": 2.0}, "rate"),
     (EliteConfig, {"cycle": 0}, "cycle"),
+    (EliteConfig, {"cycle_growth": 0.5}, "cycle_growth"),
     (ReplayConfig, {"capacity": 10}, "capacity"),
     (ReplayConfig, {"updates_per_step": -1.0}, "updates_per_step"),
     (ReplayConfig, {"capacity": 256, "warmup_steps": 1_000_000}, "warmup_steps"),

@@ -141,7 +141,7 @@ REFUSED = [
     ("[algorithm]\ncritic_rate = nan", "in [algorithm], critic_rate must be above 0, not nan."),
     ("[farm.relay]\ncapacity = 1", "in [farm], relay.capacity 1 times 4 relays cannot serve 8 UAVs."),
     ("[farm.stress]\ngrowth = 5", "farm.stress.growth is no option any more; it is always 3, not 5."),
-    ("[replay]\nintake_chunks = true", "replay.intake_chunks is no option any more; it is always 16, not true."),
+    ("[farm.reward]\npositioning = true", "farm.reward.positioning is no option any more; it is always 1.0, not true."),
     ("[farm.dynamics]\nairspeed = 9", "farm.dynamics.airspeed is no option any more; it is always [12.0], not 9."),
 ]
 

@@ -82,7 +82,7 @@ def test_a_training_that_is_stopped_leaves_nothing(tmp_path):
 
 def test_steps_of_imitation_count():
     """An algorithm that evaluates its elites ends earlier, so that all take as many; what is reported only rises."""
-    changes = {"elite.farms": 2, "elite.cycle": 2, "algorithm.shared_until": 0.0}
+    changes = {"elite.farms": 2, "elite.cycle": 2, "elite.cycle_growth": 1.0, "algorithm.shared_until": 0.0}
     config = with_values(base().with_algorithm("eia-ppo"), changes)
     own = 0
 
