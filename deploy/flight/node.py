@@ -16,6 +16,7 @@ from eia_sec.common.protocol.messages import Envelope, SetpointMessage
 from eia_sec.common.transport.admission import admission
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import Endpoint
+from eia_sec.deploy.flight.farm_map import FarmMap
 from eia_sec.deploy.flight.pilot import Pilot
 from eia_sec.deploy.flight.record import FlightRecord
 from eia_sec.rollout.followed_farm import FollowedFarm
@@ -82,6 +83,32 @@ class _Shown:
             self.probe.record()
 
 
+class FlightView:
+    """A flight for watchers: its map, step by step.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        name: that of the flight node.
+        start: its incarnation.
+        farm_map: what is shown.
+    """
+
+    def __init__(self, bus: Bus, run: str, name: str, start: int, farm_map: FarmMap) -> None:
+        self._map, self._noted = farm_map, (farm_map.begun, farm_map.steps)
+        self._shown = _Shown(farm_map.farm)
+        toml = to_toml(RunConfig(farm=farm_map.farm.config))
+        self._views = ViewService(bus, run, name, start, self._shown, toml, role="flight")
+
+    def poll(self) -> bool:
+        """Show what is new; return whether the map has begun or moved since the last call."""
+        before, self._noted = self._noted, (self._map.begun, self._map.steps)
+        if before != self._noted:
+            self._shown.note()
+        self._views.poll(0, 0.0, uniform=False)
+        return before != self._noted
+
+
 class FlightNode:
     """Reads poses, decides and sends set-points, once per period.
 
@@ -103,9 +130,7 @@ class FlightNode:
         encoding = keys.SETPOINT.encoding
         self._outgoing = {name: bus.publish(keys.SETPOINT.key(run, vehicle=name), encoding) for name in flown}
         self._presence = Presence(bus, run, "flight", options.name, options.start)
-        self._shown = _Shown(pilot.map.farm)
-        toml = to_toml(RunConfig(farm=pilot.map.farm.config))
-        self._views = ViewService(bus, run, options.name, options.start, self._shown, toml, role="flight")
+        self._view = FlightView(bus, run, options.name, options.start, pilot.map)
         self._reported = 0.0
         self._said: list[str] = []
         self.overruns = 0
@@ -139,14 +164,10 @@ class FlightNode:
             for sample in incoming.drain():
                 if self._pilot.offer(vehicle, sample.payload, sample.attachment, time.time()):
                     self._note_pose(vehicle)
-        before = self._pilot.map.begun, self._pilot.map.steps
         setpoints = self._pilot.decide(time.time())
         self._send(setpoints)
-        if before != (self._pilot.map.begun, self._pilot.map.steps):
-            if self._record is not None:
-                self._record.farm(self._pilot.map.farm, time.time())
-            self._shown.note()
-        self._views.poll(0, 0.0, uniform=False)
+        if self._view.poll() and self._record is not None:
+            self._record.farm(self._pilot.map.farm, time.time())
         if time.monotonic() - self._reported >= REPORT_SECONDS:
             self._report()
 

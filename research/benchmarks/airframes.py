@@ -8,7 +8,7 @@ the autopilot that the tests of the MAVLink bridge use: it takes set-points over
 and bridges are those of `eia-sec fly` and `eia-sec bridge mavlink`; Zenoh between them is left out, and one clock
 drives all. The pilot decides 8 times a second; bridges and autopilots turn twice as often, so a set-point is flown 1/16
 s after it was decided. The farm's reference simulator judges: it photographs, collects and rewards at the places where
-the multirotors are, and tells their vehicles what they served.
+the multirotors are, and tells their vehicles what they served. `eia-sec watch` shows the flight where --listen says.
 
 To step the way apart: `--airframe model` flies the farm's own dynamics in the place of rotorpy, `--bridge none` hands
 set-points over at once, and `--delay` fits the farm's dynamics to a way.
@@ -18,6 +18,7 @@ import json
 import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -25,15 +26,20 @@ import tyro
 from numpy.typing import NDArray
 
 from eia_sec.common.config import FarmConfig
-from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import SimulationError
 from eia_sec.common.farm import farm_team
+from eia_sec.common.policy_file import POLICY
+from eia_sec.common.process import Presence
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import Envelope, SetpointMessage
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.commands.policies.fly import FlyArguments, make_decider
+from eia_sec.deploy.commands.policies.fly import farm_of as take_farm
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.flight.bridge import CLIMB_GAIN, Bridge
 from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
+from eia_sec.deploy.flight.node import FlightView
 from eia_sec.deploy.flight.vehicle import Pose, VehicleLink
 from eia_sec.rollout.evaluation import episode_seed
 from eia_sec.rollout.followed_farm import sensor_numbers
@@ -58,7 +64,9 @@ BEFORE: Final = 16
 """Periods before the flight begins, in which set-points stream and the pilot chooses Offboard."""
 GO: Final = 4
 """Periods of these after the pilot's go, in which bridges see it."""
-RUN: Final = "airframes"
+RUN: Final = "farm"
+"""As `eia-sec watch` supposes."""
+NODE: Final = "main"
 INTEGRATOR: Final = {"method": "RK23", "first_step": 0.0125, "rtol": 1e-2, "atol": 1e-2}
 """rotorpy's: three times as fast as its default, and 4 mm apart from it after five seconds."""
 
@@ -69,6 +77,8 @@ class Arguments:
 
     policy: str = "lawnmower"
     """A heuristic, a policy that ships or a policy file."""
+    run_dir: Path | None = None
+    """Run directory whose farm and policy to fly, in the place of --policy and --preset."""
     preset: str = "inertial"
     """The farm's preset."""
     farm: int = 1000
@@ -81,6 +91,13 @@ class Arguments:
     """MAVLink over UDP, or none: vehicles obey their links at once."""
     delay: float | None = None
     """`farm.dynamics.delay`, for simulator, policy and pilot alike. Default: the preset's."""
+    listen: str | None = None
+    """Endpoint where `eia-sec watch --connect` finds the flight. Default: nobody watches."""
+
+    @property
+    def flown(self) -> str:
+        """The policy that is flown."""
+        return self.policy if self.run_dir is None else str(self.run_dir / POLICY)
 
 
 class Airframe:
@@ -275,7 +292,7 @@ class Judge(ReferenceFarm):
 
 def farm_of(arguments: Arguments) -> FarmConfig:
     """Return the farm that is flown."""
-    config = PRESETS[arguments.preset].farm
+    config = take_farm(arguments.run_dir, None, arguments.preset)
     if arguments.delay is None:
         return config
     return replace(config, dynamics=replace(config.dynamics, delay=(arguments.delay,)))
@@ -283,11 +300,23 @@ def farm_of(arguments: Arguments) -> FarmConfig:
 
 def fly(arguments: Arguments) -> dict[str, Any]:
     """Fly through the bridge; return rewards per agent and what was counted."""
+    if arguments.listen is None:
+        return _fly(arguments, None)
+    endpoint = Endpoint.parse(arguments.listen)
+    endpoint.require_private(insecure=False, advice="listen on this machine")
+    with Bus.listen(endpoint, "control") as bus:
+        presence = Presence(bus, RUN, "flight", NODE, 1)
+        found = _fly(arguments, bus)
+        presence.report({"alarms": []})
+        return found
+
+
+def _fly(arguments: Arguments, bus: Bus | None) -> dict[str, Any]:
     config, clock, air = farm_of(arguments), Clock(), Air()
     steps = config.world.steps if arguments.steps is None else min(arguments.steps, config.world.steps)
     judge = Judge(config, make_layout(config, arguments.farm), episode_seed(arguments.farm, 0))
     numbers = sensor_numbers(config, judge.layout)
-    decider = make_decider(FlyArguments(policy=arguments.policy), config)
+    decider = make_decider(FlyArguments(policy=arguments.flown), config)
     pilot = make_pilot(config, decider, seed=arguments.farm, clock=clock)
     names = farm_team(config).agent_names
     fastest = config.world.speed_x_max, config.world.speed_y_max
@@ -298,6 +327,7 @@ def fly(arguments: Arguments) -> dict[str, Any]:
     ways = [kind(link, airframe, clock) for link, airframe in zip(links, airframes, strict=True)]
     incoming = {v: air.subscribe(keys.POSE.key(RUN, vehicle=v), 16) for v in names}
     outgoing = {v: air.publish(keys.SETPOINT.key(RUN, vehicle=v)) for v in names}
+    show = FlightView(bus, RUN, NODE, 1, pilot.map).poll if bus is not None else lambda: False
     found: dict[str, SetpointMessage] = {}
     for period in range(BEFORE + PERIODS * steps + 1):
         for turn in range(1, TURNS + 1):
@@ -317,8 +347,9 @@ def fly(arguments: Arguments) -> dict[str, Any]:
             for sample in poses.drain() if period >= BEFORE or not begins else ():
                 pilot.offer(v, sample.payload, sample.attachment, clock.now)
         found = pilot.decide(clock.now)
+        show()
         for v, message in found.items():
-            outgoing[v].put(message.encode(), Envelope("flight", "main", 1, message.period).encode())
+            outgoing[v].put(message.encode(), Envelope("flight", NODE, 1, message.period).encode())
         for way in ways:
             way.obey()
     for way in ways:
@@ -326,7 +357,7 @@ def fly(arguments: Arguments) -> dict[str, Any]:
     report, simulated = pilot.report(), simulate(arguments, config, steps)
     autopilots = [way.autopilot for way in ways if isinstance(way, MavlinkWay)]
     return {
-        **vars(arguments),
+        **{name: str(value) if isinstance(value, Path) else value for name, value in vars(arguments).items()},
         "steps": pilot.map.steps,
         "reward flown": round(float(judge.total.mean()), 1),
         "reward in the simulator": round(float(simulated.mean()), 1),
@@ -347,7 +378,7 @@ def _by_type(rewards: Array, kind: NDArray[np.int64]) -> list[float]:
 
 def simulate(arguments: Arguments, config: FarmConfig, steps: int) -> Array:
     """Return each agent's reward [n] for the same steps in the farm's own simulator."""
-    farms, policy = make_farms(config, 1), policy_of(arguments.policy, config)
+    farms, policy = make_farms(config, 1), policy_of(arguments.flown, config)
     farms.reset(0, arguments.farm, episode_seed(arguments.farm, 0))
     policy.reset(farms, 0)
     for _ in range(steps):
