@@ -78,14 +78,16 @@ class Plan:
         from eia_sec.learner.trainers import make_trainer  # noqa: PLC0415  (see above)
 
         for environment in self.environments:
-            spec: EnvironmentSpec | None = None
+            specs: dict[tuple[bool, bool], EnvironmentSpec] = {}
             for algorithm in self.algorithms:
                 config = self.of_algorithm(algorithm, environment)[0].config
                 if config.plugins:
                     require_algorithm(config.algorithm)
                     plugins.check_callbacks(config.plugins)
-                if spec is None:
-                    spec = tried(config) if config.env.is_third_party else environment_spec(config)
+                acts = config.algorithm.discrete_actions, config.algorithm.continuous_actions
+                if acts not in specs:  # which of its actions an environment offers depends on what is trained
+                    specs[acts] = tried(config) if config.env.is_third_party else environment_spec(config)
+                spec = specs[acts]
                 config.algorithm.require_types(spec.team.types)
                 make_trainer(config, spec.team)
 

@@ -12,6 +12,7 @@ from eia_sec.deploy.benchmark.trainings import Measuring
 from eia_sec.deploy.commands.training import benchmark
 from eia_sec.deploy.commands.training.benchmark import BenchmarkArguments, plan_of, train_options
 from eia_sec.deploy.exit_codes import USAGE
+from eia_sec.rollout.envs.registry import environment_spec
 from tests.deploy.benchmark.examples import COVER, MEASURING, base, plan
 
 
@@ -70,6 +71,27 @@ def test_an_environment_that_cannot_be_made_is_refused_before_any_run(monkeypatc
     assert ended.value.code == USAGE
     assert "ghost" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("algorithms", [("eia-sec", "qmix", "ippo"), ("ippo", "qmix", "eia-sec")])
+def test_each_algorithm_is_tried_with_the_actions_that_it_trains(monkeypatch, algorithms):
+    """An environment that offers boxes and options is tried with both, once; one without boxes is refused for one."""
+    asked = []
+
+    def tried(config):
+        asked.append(config.algorithm.name)
+        return environment_spec(config)
+
+    monkeypatch.setattr("eia_sec.deploy.benchmark.plan.tried", tried)
+
+    def plan_in(name):
+        bases = [preset("generic").with_environment(name)]
+        return Plan.of(bases, (*algorithms, "vdn", "maddpg"), 1, Measuring(10, 32))
+
+    plan_in("mpe2:simple_spread_v3").require_possible()
+    assert asked == list(algorithms)
+    with pytest.raises(UsageError, match=r"Cover has discrete actions \(walker\), which eia-sec cannot train"):
+        plan_in(COVER).require_possible()
 
 
 def test_settings_become_options_of_train():
