@@ -280,16 +280,18 @@ class Population:
             if len(present) < 2:
                 alone = self._tell_alone(present, alone)
                 continue
-            number = min(_due(member, now) for member, now in present)
+            told = sorted((now.round or 0 for _, now in present), reverse=True)
+            # Weak members are told before all others: a round that fewer know than those is not over.
+            held = max(self._held, told[weak_members(len(present)) - 1])
+            # Who has not even come to that one has joined late, or was away: nobody waits, and it takes part at once.
+            dues = [_due(member, now) for member, now in present]
+            number = min((due for due in dues if due >= held), default=held)
+            if number <= held:
+                continue
             if number > self._round:
                 self._round = number
                 self._failed.clear()
             present = [(member, now) for member, now in present if self._failed[member.name] < MOST_ATTEMPTS]
-            told = sorted((now.round or 0 for _, now in present), reverse=True)
-            # Weak members are told before all others: a round that fewer know than those is not over.
-            held = max(self._held, *told[weak_members(len(present)) - 1 :][:1])
-            if number <= held:
-                continue
             if len(present) > 1:
                 yield from self._hold(number, present, stop)
                 # A learner that has died is known to be away only then.

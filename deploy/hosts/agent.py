@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from eia_sec.common.config.files import differences, method_of, read_saved
 from eia_sec.common.errors import ConfigError, HostError
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
-from eia_sec.deploy.hosts.learner_move import RUN, holding
+from eia_sec.deploy.hosts.learner_move import RUN, holding, member_holdings
 from eia_sec.deploy.hosts.plan import ORDER
 from eia_sec.deploy.local import contained_files
 from eia_sec.deploy.local.file_ends import last_lines
@@ -27,8 +27,6 @@ START_SECONDS: Final = 30.0
 KILL_SECONDS: Final = 5.0
 ORPHAN_SECONDS: Final = 25.0
 """Time that the processes of a killed keeper have to end by themselves."""
-LEARNER: Final = "learner.learner"
-"""The learner's name among the processes."""
 PROCESSES: Final = Path("/proc")
 """Where Linux has a folder for each process."""
 MAX_LINES: Final = 10_000
@@ -42,7 +40,7 @@ def up(
     files: Mapping[str, str],
     start: str,
     *,
-    again: bool = True,
+    again: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Write a plan and its files, start a keeper if there is none, and wait until it has taken up the plan.
 
@@ -51,10 +49,10 @@ def up(
         processes: for each name, arguments and threads.
         files: texts by path in the folder; readable by the owner only.
         start: how to start the keeper, "detached" or "systemd".
-        again: whether to start what does not run; False when the run is over.
+        again: names of those to be started where they do not run; None for all. Those of a finished run are not.
 
     Returns:
-        What `status` returns, and "over": whether the learner runs on this host and has finished the run.
+        What `status` returns.
 
     Raises:
         HostError: a file cannot be written, or the keeper did not come up.
@@ -66,8 +64,7 @@ def up(
         for name, text in files.items():
             contained_files.write(folder, name, text.encode())
         (folder / RUN / HISTORY).mkdir(parents=True, exist_ok=True)
-        over = LEARNER in processes and _is_over(folder)
-        plan = keeper.new_plan(processes, again=again and not over)
+        plan = keeper.new_plan(processes, again=processes if again is None else again)
         write_json(folder / PLAN, plan)
     except OSError as error:
         raise HostError(f"{folder} cannot be written: {error.strerror}.") from error
@@ -83,7 +80,7 @@ def up(
         # It may have ended between two checks, because the previous plan was empty.
         _ensure_keeper(folder, start, plan["issue"])
         time.sleep(0.1)
-    return {**status(folder), "over": over}
+    return status(folder)
 
 
 def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict[str, Any]:
@@ -103,7 +100,7 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     before = _pids(folder, roles)
     if named:
         rest = {name: process for name, process in plan["processes"].items() if name not in named}
-        fresh = keeper.new_plan(rest, again=False)
+        fresh = keeper.new_plan(rest, again=())
         try:
             write_json(folder / PLAN, fresh)
         except OSError:  # a full disk
@@ -124,10 +121,16 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     return {"ended": sorted(set(before) - set(left)), "left": sorted(left)}
 
 
-def status(folder: Path) -> dict[str, Any]:
-    """Return the keeper's process id, the state of its processes, its alarms, and what it holds of a run."""
+def status(folder: Path, learners: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, Any]:
+    """Return the keeper's process id, the state of its processes, its alarms, and what it holds of runs.
+
+    Args:
+        folder: the host's folder.
+        learners: by the learner's name, `run`, its run's folder in that folder, and `config`, its configuration; those
+            that have finished are named as "over".
+    """
     if not folder.is_dir():
-        return {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing"}
+        return {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing", "members": {}, "over": []}
     state = read_json(folder / STATE)
     alive = keeper.is_kept(folder)
     processes = state.get("processes", {}) if alive else {}
@@ -136,6 +139,8 @@ def status(folder: Path) -> dict[str, Any]:
         "processes": processes,
         "alarms": state.get("alarms", []),
         "holds": holding(folder),
+        "members": member_holdings(folder),
+        "over": [name for name, one in (learners or {}).items() if _is_over(folder / one["run"], one["config"])],
     }
 
 
@@ -150,17 +155,16 @@ def log_files(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     return {name: path for name, path in found.items() if not names or name in names}
 
 
-def _is_over(folder: Path) -> bool:
-    """Return whether the learner has finished the run that the folder's configuration describes.
+def _is_over(path: Path, wanted: str) -> bool:
+    """Return whether the learner has finished the run in a folder, if that is the run that a configuration describes.
 
     With another configuration the learner is to start, and says what differs.
     """
-    run = RunDirectory(folder / RUN)
+    run = RunDirectory(path)
     if not (run.holds_run() and run.finished()):
         return False
-    held, wanted = run.path / CONFIG, folder / CONFIG
-    with suppress(OSError):
-        if held.read_bytes() == wanted.read_bytes():
+    with suppress(OSError, UnicodeDecodeError):
+        if (run.path / CONFIG).read_text(encoding="utf-8") == wanted:
             return True
     try:
         return not differences(method_of(run.configuration()), method_of(read_saved(wanted)))

@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.environment import FARM
+from eia_sec.common.config.population import MOST_MEMBERS
 from eia_sec.common.errors import ConfigError, UsageError
 from eia_sec.common.farm import farm_environment, farm_of
 from eia_sec.common.names import check_name
@@ -24,6 +25,7 @@ from eia_sec.common.protocol.message_sizes import require_frames
 from eia_sec.common.regular_files import read_regular_text
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.local.learners import require_learners
+from eia_sec.deploy.local.members import FOLDER, member_config, require_population
 from eia_sec.deploy.options import base_configuration, with_settings
 
 LOCAL: Final = "local"
@@ -33,6 +35,7 @@ MAX_WORKERS: Final = 1024
 
 _DESTINATION: Final = re.compile(r"[A-Za-z0-9_\[][A-Za-z0-9_.@:%\[\]\-]*")
 _IMAGE: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:/@\-]{0,254}")
+_MEMBER: Final = re.compile(r"member-(0|[1-9]|[1-5][0-9]|6[0-3])")
 _QUANTITY: Final = re.compile(r"[0-9]{1,15}(\.[0-9]{1,3})?([kMGTPE]|[KMGTPE]i)?")
 _SUBDOMAIN: Final = re.compile(r"([a-z0-9]([a-z0-9.\-]{0,251}[a-z0-9])?)?")
 _PROGRAM: Final = re.compile(r"[/A-Za-z0-9_.].*")
@@ -122,6 +125,8 @@ class Host:
     """detached: a separate session; systemd: a transient user unit (needs lingering)."""
     workers: int = 0
     """Number of rollout workers."""
+    member: str = ""
+    """Member of the population that they serve. Default: those whose learners run on this host, in turn."""
 
     @property
     def words(self) -> list[str]:
@@ -142,12 +147,41 @@ class Containers:
 
 
 @dataclass(frozen=True)
+class FleetRun:
+    """A run of a fleet: its only one, or that of a member of its population.
+
+    Attributes:
+        name: the run's name.
+        learner: its learner's table.
+        config: its configuration.
+        member: the member's name; empty for the only run.
+    """
+
+    name: str
+    learner: LearnerSpec
+    config: RunConfig
+    member: str = ""
+
+    @property
+    def folder(self) -> str:
+        """Its folder inside a host's folder of runs; empty for that folder itself."""
+        return f"{FOLDER}/{self.member}" if self.member else ""
+
+    @property
+    def process(self) -> str:
+        """The name of its learner among a fleet's processes."""
+        return self.member or "learner"
+
+
+@dataclass(frozen=True)
 class FleetSpec:
-    """A fleet: the hosts of a run, and the processes on each.
+    """A fleet: the hosts of a run or of a population, and the processes on each.
 
     Attributes:
         path: the file.
-        config: the learner's configuration, resolved from the training table.
+        config: the configuration, resolved from the training table; members of a population have it but for seeds and
+            hyperparameters.
+        runs: the run, or those of the members of the population.
     """
 
     run: str = "farm"
@@ -155,11 +189,19 @@ class FleetSpec:
     network: Network = field(default_factory=Network)
     router: Router | None = None
     learner: LearnerSpec = field(default_factory=LearnerSpec)
+    population: dict[str, LearnerSpec] = field(default_factory=dict)
     coordinator: Coordinator = field(default_factory=Coordinator)
     hosts: dict[str, Host] = field(default_factory=dict)
     containers: Containers = field(default_factory=Containers)
     path: Path = field(default_factory=Path)
     config: RunConfig = field(default_factory=RunConfig)
+    runs: tuple[FleetRun, ...] = ()
+
+    def served(self, host: str, index: int) -> FleetRun:
+        """Return the run that a host's worker of this number serves."""
+        member = self.hosts[host].member
+        found = [run for run in self.runs if (run.member == member if member else run.learner.host == host)]
+        return found[index % len(found)] if self.population else self.runs[0]
 
     @property
     def folder(self) -> Path:
@@ -193,10 +235,7 @@ def read(path: Path) -> FleetSpec:
     try:
         fleet = _complete(replace(_table(FleetSpec, table, ""), path=path))
         config = _configuration(fleet)
-        require_learners(config, fleet.learner.learners, lockstep=False)
-        if config.population.members:
-            raise ConfigError("a fleet file describes one run, and no population; leave population.members at 0.")
-        return replace(fleet, config=config)
+        return replace(fleet, config=config, runs=_runs(fleet, config))
     except UsageError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -204,7 +243,7 @@ def read(path: Path) -> FleetSpec:
 def _table(kind: type[T], table: dict[str, Any], place: str) -> T:
     """Return a dataclass from a table of the file, each value checked against its field's type."""
     hints = get_type_hints(kind)
-    inner = {"path", "config"} if kind is FleetSpec else set()
+    inner = {"path", "config", "runs"} if kind is FleetSpec else set()
     known = [f.name for f in dataclasses.fields(kind) if f.name not in inner]  # type: ignore[arg-type]  # T is one of ours
     where = f"in [{place}]" if place else "at the top"
     for key in table:
@@ -225,7 +264,8 @@ def _value(wanted: Any, value: Any, place: str) -> Any:
         if not isinstance(value, dict):
             raise ConfigError(f"{place} must be a section [{place}].")
         if get_origin(wanted) is dict:
-            return {name: _value(Host, inner, f"{place}.{check_name(name, place)}") for name, inner in value.items()}
+            kind = get_args(wanted)[1]
+            return {name: _value(kind, inner, f"{place}.{check_name(name, place)}") for name, inner in value.items()}
         return _table(wanted, value, place)
     if get_origin(wanted) is tuple:
         if not isinstance(value, list) or any(type(item) is not str for item in value):
@@ -248,21 +288,72 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
     check_name(fleet.run, "run")
     if not fleet.hosts:
         raise ConfigError("the file has no host; write a section [hosts.NAME] for each.")
-    placed = {"router.host": fleet.router.host if fleet.router else None, "learner.host": fleet.learner.host}
-    for place, name in (placed | {"coordinator.host": fleet.coordinator.host or fleet.learner.host}).items():
+    learners = {f"population.{name}": learner for name, learner in fleet.population.items()}
+    learners = learners or {"learner": fleet.learner}
+    near = next(iter(learners.values())).host
+    placed: dict[str, str | None] = {"router.host": fleet.router.host if fleet.router else None}
+    placed |= {f"{place}.host": learner.host for place, learner in learners.items()}
+    for place, name in (placed | {"coordinator.host": fleet.coordinator.host or near}).items():
         if name is not None and name not in fleet.hosts:
             raise ConfigError(f"{place} must be one of the hosts {', '.join(fleet.hosts)}, not {name!r}.")
     for name in (fleet.router.name if fleet.router else "main", fleet.coordinator.name):
         check_name(name, "name")
-    if not 0 <= fleet.learner.gpus <= 64:
-        raise ConfigError(f"learner.gpus must be 0 to 64, not {fleet.learner.gpus}.")
+    for place, learner in learners.items():
+        if not 0 <= learner.gpus <= 64:
+            raise ConfigError(f"{place}.gpus must be 0 to 64, not {learner.gpus}.")
+    _check_members(fleet)
     _check_containers(fleet.containers)
     hosts = {name: _host(fleet.run, name, host) for name, host in fleet.hosts.items()}
     where = [(host.host, host.folder) for host in hosts.values()]
     if len(set(where)) < len(where):
         raise ConfigError("two hosts use the same folder on the same machine; give each its own.")
-    coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or fleet.learner.host)
+    coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or near)
     return replace(fleet, hosts=hosts, coordinator=coordinator, network=_network(fleet.network))
+
+
+def _check_members(fleet: FleetSpec) -> None:
+    """Check what a population adds: its members' names, and whom the workers of each host serve."""
+    for name, host in fleet.hosts.items():
+        if host.member and host.member not in fleet.population:
+            named = ", ".join(fleet.population) or "none"
+            raise ConfigError(f"hosts.{name}.member must be a member of the population ({named}), not {host.member!r}.")
+    if not fleet.population:
+        return
+    if fleet.learner != LearnerSpec():
+        raise ConfigError("a population has a table [population.member-N] for each learner; remove [learner].")
+    if fleet.router is None:
+        raise ConfigError("the members of a population meet at a router; add [router].")
+    for name in fleet.population:
+        if not _MEMBER.fullmatch(name):
+            raise ConfigError(f"population.{name} must be named member-N, with N from 0 to {MOST_MEMBERS - 1}.")
+        check_name(f"{fleet.run}-{name}", "run")
+    led = {learner.host for learner in fleet.population.values()}
+    for name, host in fleet.hosts.items():
+        if host.workers and not host.member and name not in led:
+            raise ConfigError(
+                f"hosts.{name} has workers and no learner of the population; hosts.{name}.member says whom they serve."
+            )
+
+
+def _runs(fleet: FleetSpec, config: RunConfig) -> tuple[FleetRun, ...]:
+    """Return the runs with their configurations; raise ConfigError where they cannot be."""
+    for learner in fleet.population.values() or [fleet.learner]:
+        require_learners(config, learner.learners, lockstep=False)
+    if not fleet.population:
+        if config.population.members:
+            raise ConfigError("population.members is set, and no table [population.member-0] says where it learns.")
+        return (FleetRun(fleet.run, fleet.learner, config),)
+    require_population(config)
+    runs = []
+    for name, learner in fleet.population.items():
+        number = int(name.removeprefix("member-"))
+        if number >= config.population.members:
+            raise ConfigError(
+                f"population.{name} needs population.members of {max(2, number + 1)} or more in training.set, "
+                f"not {config.population.members}."
+            )
+        runs.append(FleetRun(f"{fleet.run}-{name}", learner, member_config(config, number), name))
+    return tuple(runs)
 
 
 def _host(run: str, name: str, host: Host) -> Host:

@@ -7,7 +7,7 @@ learner there.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO, Final
 
 from eia_sec.common.errors import ConfigError, HostError
@@ -15,6 +15,7 @@ from eia_sec.common.policy_file import POLICY
 from eia_sec.deploy.hosts import archive
 from eia_sec.deploy.hosts.fleet_file import FleetSpec
 from eia_sec.deploy.hosts.remote import Link, everywhere, links
+from eia_sec.deploy.local.members import FOLDER
 from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, METRICS
 
 OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
@@ -43,8 +44,10 @@ class Collected:
 def pack(folder: Path, out: IO[bytes]) -> None:
     """Write an archive of a host's run: histories, metrics, configuration and policy, whichever exist."""
     run = folder / "run"
-    names = (CONFIG, METRICS, POLICY)
-    archive.pack(run, [*sorted((run / HISTORY).glob("*.jsonl")), *(run / name for name in names)], out)
+    found: list[Path] = []
+    for one in (run, *sorted((run / FOLDER).glob("*"))):
+        found += [*sorted((one / HISTORY).glob("*.jsonl")), *(one / name for name in (CONFIG, METRICS, POLICY))]
+    archive.pack(run, found, out)
 
 
 def collect(fleet: FleetSpec, target: Path) -> Collected:
@@ -54,7 +57,8 @@ def collect(fleet: FleetSpec, target: Path) -> Collected:
         ConfigError: the folder cannot be made.
     """
     try:
-        (target / HISTORY).mkdir(parents=True, exist_ok=True)
+        for run in fleet.runs:
+            (target / run.folder / HISTORY).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{target} cannot be made: {error.strerror}.") from error
     found = Collected()
@@ -71,12 +75,15 @@ def collect(fleet: FleetSpec, target: Path) -> Collected:
     for host, (files, left_out) in done.items():
         found.files += files
         found.left_out += [f"{host} {name}" for name in left_out]
-        found.strays += [host] if set(left_out) & set(OF_THE_LEARNER) else []
+        learners = {str(PurePosixPath(run.folder, name)) for run in fleet.runs for name in OF_THE_LEARNER}
+        found.strays += [host] if learners.intersection(left_out) else []
     return found
 
 
 def own_names(fleet: FleetSpec, host: str) -> Callable[[str], bool]:
     """Return a predicate for the file names that belong to a host."""
-    workers = re.compile(rf"{HISTORY}/rollout-{re.escape(host)}-[0-9]+\.jsonl")
-    learner = OF_THE_LEARNER if host == fleet.learner.host else ()
+    folders = "|".join(re.escape(f"{run.folder}/" if run.folder else "") for run in fleet.runs)
+    workers = re.compile(rf"({folders}){HISTORY}/rollout-{re.escape(host)}-[0-9]+\.jsonl")
+    led = [run.folder for run in fleet.runs if run.learner.host == host]
+    learner = {str(PurePosixPath(folder, name)) for folder in led for name in OF_THE_LEARNER}
     return lambda name: name in learner or workers.fullmatch(name) is not None

@@ -17,7 +17,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
@@ -142,7 +142,7 @@ class Keeper:
             if changed == self._read_at:
                 return
             plan = read_json(self._folder / PLAN)
-            issue, wanted, again = int(plan["issue"]), checked_names(plan["processes"]), bool(plan.get("again"))
+            issue, wanted, again = int(plan["issue"]), checked_names(plan["processes"]), set(plan["again"])
         except (OSError, HostError, UsageError, KeyError, TypeError, ValueError) as error:
             if not self._issue:
                 raise HostError(f"{PLAN} cannot be read: {error!r}.") from error
@@ -152,7 +152,7 @@ class Keeper:
         self._warned.pop(PLAN, None)
         for name in self._wanted:
             child = self._supervisor.children.get(name)
-            if not again:  # what does not run by now has no work left
+            if name not in again:  # what does not run by now has no work left
                 self._started.setdefault(name, self._wanted[name])
             # A new plan may mean that the user has fixed a problem, so processes that were given up are tried again.
             elif child is None or (child.process is None and (child.given_up or child.done)):
@@ -236,11 +236,11 @@ def keep(folder: Path) -> None:
         Keeper(Path()).run(stop)
 
 
-def new_plan(processes: Mapping[str, dict[str, Any]], *, again: bool) -> dict[str, Any]:
+def new_plan(processes: Mapping[str, dict[str, Any]], *, again: Collection[str]) -> dict[str, Any]:
     """Return a plan, with a number that its keeper repeats in the state once it has taken it up.
 
     Args:
         processes: what should run.
-        again: whether to start what does not run: processes that have finished or were given up, and new ones.
+        again: those to be started where they do not run: processes that have finished or were given up, and new ones.
     """
-    return {"issue": time.time_ns(), "processes": dict(processes), "again": again}
+    return {"issue": time.time_ns(), "processes": dict(processes), "again": list(again)}

@@ -38,7 +38,7 @@ def kubernetes(fleet: FleetSpec) -> dict[str, str]:
     if fleet.keys is None:
         for host, described in fleet.hosts.items():
             if described.workers:
-                process = worker(fleet, places, host, _POD)
+                process = worker(fleet, places, fleet.runs[0], host, _POD)
                 workloads.append((_label(f"{fleet.run}-rollout-{host}"), process, described.workers))
     names = [name for name, _, _ in workloads]
     if len(set(names)) < len(names):

@@ -14,6 +14,7 @@ from typing import IO, Final, Literal
 
 from eia_sec.common.errors import HostError
 from eia_sec.deploy.hosts import archive
+from eia_sec.deploy.local.members import FOLDER
 from eia_sec.deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 
 RUN, LEAVING, ARRIVING, MOVED = "run", "leaving", "arriving", "moved"
@@ -36,6 +37,18 @@ def holding(folder: Path) -> Holding:
         return "leaving"
     histories = (folder / RUN / HISTORY).glob("rollout-*.jsonl")
     return "histories" if any(path.stat().st_size for path in histories) else "nothing"
+
+
+def member_holdings(folder: Path) -> dict[str, Holding]:
+    """Return what the folder holds of the runs of a population's members, by their names."""
+    found: dict[str, Holding] = {}
+    for path in sorted((folder / RUN / FOLDER).glob("*")):
+        histories = (path / HISTORY).glob("rollout-*.jsonl")
+        if RunDirectory(path).holds_run():
+            found[path.name] = "run"
+        elif any(one.stat().st_size for one in histories):
+            found[path.name] = "histories"
+    return found
 
 
 def is_learners(name: str) -> bool:

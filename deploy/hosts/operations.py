@@ -2,13 +2,13 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from eia_sec.common.config.files import to_toml
-from eia_sec.common.errors import CredentialsError, HostError
+from eia_sec.common.errors import CredentialsError, HostError, UsageError
 from eia_sec.common.process import StopSignal
 from eia_sec.common.transport import credentials
 from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
@@ -38,16 +38,34 @@ def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
         HostError: a host that may hold the run was not reached; nothing has been started.
     """
     requests = {name: request_of(fleet, name) for name in fleet.hosts}
-    first = fleet.learner.host
     with links(fleet) as ways:
-        require_one_run(fleet, *everywhere(ways, partial(_state, verb="status", request={})))
-        # The learner's host comes first, because it knows whether the run is over and workers are not needed.
-        states, failed = everywhere({first: ways[first]}, lambda link: _state(link, "up", requests[link.name]))
-        again = not any(state.get("over") for state in states.values())
-        rest = {name: way for name, way in ways.items() if name != first}
-        more, failures = everywhere(rest, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
-    states |= more
-    return {name: states[name] for name in fleet.hosts if name in states}, failed | failures
+        asked = partial(_asked_for_runs, fleet)
+        states, failed = everywhere(ways, lambda link: _state(link, "status", {"learners": asked(link.name)}))
+        require_one_run(fleet, states, failed)
+        again = starting(fleet, {str(name) for state in states.values() for name in state.get("over", [])})
+        states, failed = everywhere(ways, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
+    return {name: states[name] for name in fleet.hosts if name in states}, failed
+
+
+def _asked_for_runs(fleet: FleetSpec, host: str) -> dict[str, dict[str, str]]:
+    """Return where a host would hold the runs of its learners, and their configurations, by the learner's label."""
+    places = here(fleet)
+    return {
+        f"learner.{run.process}": {"run": places.of(run).run_dir, "config": to_toml(run.config)}
+        for run in fleet.runs
+        if run.learner.host == host
+    }
+
+
+def starting(fleet: FleetSpec, over: Collection[str]) -> list[str]:
+    """Return the processes that are to be started where they do not run: those of a finished run are not.
+
+    Args:
+        fleet: the fleet.
+        over: labels of the learners whose runs are finished.
+    """
+    left = [run for run in fleet.runs if f"learner.{run.process}" not in over]
+    return [one.label for one in processes(fleet, here(fleet)) if (one.run in left if one.run is not None else left)]
 
 
 def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
@@ -58,23 +76,23 @@ def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
         if process.host != host:
             continue
         own = _key_files(fleet.keys, process) if fleet.keys is not None else {}
-        if process.role == "learner":
-            own["config.toml"] = to_toml(fleet.config)
+        if process.role == "learner" and process.run is not None:
+            own[here(fleet).of(process.run).config] = to_toml(process.run.config)
         files |= own
         # A changed certificate restarts its process, a changed list of members only the listener.
         needed = [item for item in sorted(own.items()) if process.role == fleet.listener[0] or MEMBERS not in item[0]]
         digest = hashlib.sha256(repr(needed).encode()).hexdigest()[:16]
-        found[str(process.identity)] = {
+        found[process.label] = {
             "arguments": list(process.arguments),
             "threads": process.threads,
             "files": digest,
         }
-    return {"processes": found, "files": files, "start": fleet.hosts[host].start, "again": True}
+    return {"processes": found, "files": files, "start": fleet.hosts[host].start}
 
 
 def _key_files(keys: Path, process: Process) -> dict[str, str]:
     folder = keys / str(process.identity)
-    credentials.load(folder).require(process.role, process.name)
+    credentials.load(folder).require(process.identity.role, process.identity.name)
     names = (CA, CERTIFICATE, KEY, *((MEMBERS,) if process.role in LISTENING else ()))
     far = Path("keys") / folder.name
     return {(far / name).as_posix(): credentials.read_bounded(folder / name, 1024**2).decode() for name in names}
@@ -122,9 +140,14 @@ def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
         A sentence for each thing that was done.
 
     Raises:
-        UsageError: no host holds the run, or several do.
+        UsageError: no host holds the run, or several do; or it is one of a population.
         HostError: a host was not reached or failed, or a process did not stop.
     """
+    if fleet.population:
+        raise UsageError(
+            "fleet move-learner is for a run alone; to move a member, stop the fleet and move its folder, "
+            f"run/{fleet.runs[0].folder} for instance, to that of the other host."
+        )
     target = fleet.learner.host
     with links(fleet) as ways:
         states, failed = everywhere(ways, partial(_state, verb="status", request={}))
@@ -173,12 +196,14 @@ def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, 
 def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
     state = link.call(verb, request)
-    processes, alarms = state.get("processes"), state.get("alarms")
+    processes, alarms, members = state.get("processes"), state.get("alarms"), state.setdefault("members", {})
     if not (
         type(state.get("keeper")) is int
         and isinstance(alarms, list)
         and all(isinstance(alarm, str) for alarm in alarms)
         and state.get("holds") in HOLDINGS
+        and isinstance(members, dict)
+        and all(what in HOLDINGS for what in members.values())
         and isinstance(processes, dict)
         and all(isinstance(process, dict) and _is_process(process) for process in processes.values())
     ):

@@ -1,10 +1,10 @@
 """The processes of a fleet with their command lines; every way of starting them uses these."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from eia_sec.common.transport.credentials import Identity
-from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.fleet_file import FleetRun, FleetSpec
 from eia_sec.deploy.local.code_options import env_options, plugin_options
 from eia_sec.deploy.local.run_directory import HISTORY
 
@@ -23,10 +23,11 @@ class Process:
 
     Attributes:
         role: router, learner, elite or rollout.
-        name: its name inside the role.
+        name: its name inside the role; a learner's is that of its member in a population.
         host: its host's name in the fleet file.
         arguments: what follows `eia-sec`.
         threads: its share of compute threads.
+        run: the run that it works for; None for the router and the coordinator, which serve all.
     """
 
     role: str
@@ -34,11 +35,17 @@ class Process:
     host: str
     arguments: tuple[str, ...]
     threads: int = 1
+    run: FleetRun | None = None
+
+    @property
+    def label(self) -> str:
+        """Its name among all processes of the fleet."""
+        return f"{self.role}.{self.name}"
 
     @property
     def identity(self) -> Identity:
-        """Return role and name, which its certificate carries, too."""
-        return Identity(self.role, self.name)
+        """What its certificate carries: role and name. A learner's name in its run is always `learner`."""
+        return Identity(self.role, "learner" if self.role == "learner" else self.name)
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,13 @@ class Places:
     listen: str
     begins: bool = True
 
+    def of(self, run: FleetRun) -> "Places":
+        """Return the paths of one run, each member of a population having a folder and a configuration of its own."""
+        if not run.member:
+            return self
+        config = f"{self.config.removesuffix('.toml')}-{run.member}.toml"
+        return replace(self, run_dir=f"{self.run_dir}/{run.folder}", config=config)
+
 
 def here(fleet: FleetSpec) -> Places:
     """Return the paths relative to a host's folder, where `eia-sec up` puts the files."""
@@ -81,30 +95,35 @@ def processes(fleet: FleetSpec, places: Places) -> list[Process]:
             *_tls(fleet, places, router),
         )
         found.append(Process("router", fleet.router.name, fleet.router.host, arguments))
-    found.append(_learner(fleet, places))
+    found += [_learner(fleet, places.of(run), run) for run in fleet.runs]
     coordinator = fleet.coordinator
-    joining = _joining(fleet, places, Identity("elite", coordinator.name))
+    runs: tuple[str, ...] = ("--run", fleet.run, "--connect", places.endpoint)
+    if fleet.population:
+        runs = ("--members", *(f"{run.name}={places.endpoint}" for run in fleet.runs))
+    joining = _joining(fleet, places, runs, Identity("elite", coordinator.name))
     found.append(Process("elite", coordinator.name, coordinator.host, ("elite", *joining)))
     for host, described in fleet.hosts.items():
-        found += [worker(fleet, places, host, f"{host}-{index}") for index in range(described.workers)]
+        for index in range(described.workers):
+            found.append(worker(fleet, places, fleet.served(host, index), host, f"{host}-{index}"))
     return found
 
 
-def worker(fleet: FleetSpec, places: Places, host: str, name: str) -> Process:
-    """Return one worker."""
-    config = fleet.config
-    joining = _joining(fleet, places, Identity("rollout", name))
-    history = ("--history", f"{places.run_dir}/{HISTORY}/rollout-{name}.jsonl")
+def worker(fleet: FleetSpec, places: Places, run: FleetRun, host: str, name: str) -> Process:
+    """Return one worker of a run."""
+    config = run.config
+    joining = _joining(fleet, places, ("--run", run.name, "--connect", places.endpoint), Identity("rollout", name))
+    history = ("--history", f"{places.of(run).run_dir}/{HISTORY}/rollout-{name}.jsonl")
     return Process(
         "rollout",
         name,
         host,
         ("rollout", *joining, *_shared(fleet), *history, *env_options(config)),
         config.rollout.threads,
+        run,
     )
 
 
-def _learner(fleet: FleetSpec, places: Places) -> Process:
+def _learner(fleet: FleetSpec, places: Places, run: FleetRun) -> Process:
     if fleet.router is None:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
@@ -113,14 +132,14 @@ def _learner(fleet: FleetSpec, places: Places) -> Process:
     resumed = "--resume-if-any" if places.begins else "--resume"
     kept = ("--run-dir", places.run_dir, *trained, resumed, "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
-    several = () if fleet.learner.learners == 1 else ("--learners", str(fleet.learner.learners))
-    named = plugin_options(fleet.config)
-    arguments = ("learner", *named, "--run", fleet.run, *met, *_shared(fleet), *kept, *several, *tls)
-    return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
+    several = () if run.learner.learners == 1 else ("--learners", str(run.learner.learners))
+    named = plugin_options(run.config)
+    arguments = ("learner", *named, "--run", run.name, *met, *_shared(fleet), *kept, *several, *tls)
+    return Process("learner", run.process, run.learner.host, arguments, run.config.learner.threads, run)
 
 
-def _joining(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:
-    where = (*plugin_options(fleet.config), "--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
+def _joining(fleet: FleetSpec, places: Places, runs: tuple[str, ...], who: Identity) -> tuple[str, ...]:
+    where = (*plugin_options(fleet.config), *runs, "--name", who.name)
     return (*where, "--patience", PATIENCE, *_tls(fleet, places, who))
 
 

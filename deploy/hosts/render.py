@@ -26,6 +26,7 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
         ConfigError: the form cannot express the fleet, or the folder cannot be written.
         CredentialsError: a certificate is missing or cannot be used.
     """
+    _require_one_run(fleet)
     written = []
     try:
         files = FORMS[form](fleet, folder)
@@ -55,7 +56,11 @@ def keeping(fleet: FleetSpec, form: str, folder: Path) -> str:
     """Return what must be done so that a run goes on elsewhere, and does not begin anew; call this before `render`.
 
     Files for Prometheus start nothing; of them it says where the figures come from.
+
+    Raises:
+        ConfigError: the fleet is one of a population.
     """
+    _require_one_run(fleet)
     if form == "prometheus":
         return f"the figures are those of: {command(fleet)}"
     if form != "systemd":
@@ -69,6 +74,13 @@ def keeping(fleet: FleetSpec, form: str, folder: Path) -> str:
             f"on {former[0]}; until then the learner on {target} refuses to start."
         )
     return f"the learner keeps run {fleet.run} in {place} on {target}."
+
+
+def _require_one_run(fleet: FleetSpec) -> None:
+    if fleet.population:
+        raise ConfigError(
+            f"{fleet.path} describes a population, which `eia-sec fleet render` cannot write; use `eia-sec up`."
+        )
 
 
 def _compose(fleet: FleetSpec, folder: Path) -> dict[str, bytes]:

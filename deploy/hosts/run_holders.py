@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from eia_sec.common.errors import HostError, UsageError
-from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.fleet_file import FleetRun, FleetSpec
 
 States = Mapping[str, dict[str, Any]]
 """The state of each host, as `eia_sec.deploy.hosts.agent.status` gives it."""
@@ -22,6 +22,10 @@ def require_one_run(fleet: FleetSpec, states: States, failed: Mapping[str, str])
         UsageError: another host holds the run, or the hosts have histories of one that none of them holds.
         HostError: no reached host holds it, and one was not reached.
     """
+    if fleet.population:
+        for run in fleet.runs:
+            _require_one_member(fleet, run, states, failed)
+        return
     found, target = _by_holding(states), fleet.learner.host
     holders = found["run"] or found["leaving"]
     if found["run"] == [target] or (target in failed and not holders):
@@ -43,6 +47,33 @@ def require_one_run(fleet: FleetSpec, states: States, failed: Mapping[str, str])
         raise UsageError(
             f"{found['histories'][0]} has histories of workers of run {fleet.run}, and no host of {fleet.path} holds "
             "the run: name the learner's former host again, or begin anew under another run name."
+        )
+
+
+def _require_one_member(fleet: FleetSpec, run: FleetRun, states: States, failed: Mapping[str, str]) -> None:
+    """Refuse to start a member of a population that would begin anew; see `require_one_run`."""
+    target, folder = run.learner.host, f"run/{run.folder}"
+    found = {host: state["members"].get(run.member, "nothing") for host, state in states.items()}
+    holders = [host for host, what in found.items() if what == "run"]
+    if holders == [target] or (target in failed and not holders):
+        return
+    if len(holders) > 1:
+        raise UsageError(f"{' and '.join(holders)} both hold {folder}; remove it from the folder of the older copy.")
+    if holders:
+        raise UsageError(
+            f"{holders[0]} holds {run.member} of run {fleet.run}, and [population.{run.member}] names {target}, where "
+            f"it would begin anew; stop the fleet and move {folder} from the one host's folder to the other's."
+        )
+    if failed:
+        host, reason = next(iter(failed.items()))
+        raise HostError(
+            f"{target} does not hold {run.member} of run {fleet.run} yet, and {host}, which may hold it, was not "
+            f"reached ({reason}); nothing was started. To begin it without {host}, remove it from {fleet.path}."
+        )
+    if histories := [host for host, what in found.items() if what == "histories"]:
+        raise UsageError(
+            f"{histories[0]} has histories of workers of {run.member}, and no host of {fleet.path} holds it: name its "
+            "former host again, or begin anew under another run name."
         )
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.files import with_values
-from eia_sec.common.errors import EiaSecError, UsageError
+from eia_sec.common.errors import ConfigError, EiaSecError, UsageError
 from eia_sec.common.log import log
 from eia_sec.common.seeds import derive
 from eia_sec.common.team import TeamSpec
@@ -39,6 +39,14 @@ def member_config(config: RunConfig, number: int) -> RunConfig:
     own = {f"algorithm.{name}": value for name, value in drawn(shared, number).items()}
     seed = config.seed if number == 0 else derive(config.seed, "member", number) % SEEDS
     return with_values(shared, {"seed": seed, **own})
+
+
+def require_population(config: RunConfig) -> None:
+    """Raise ConfigError for a configuration whose members could not train side by side."""
+    if config.population.seed not in (0, config.seed):
+        raise ConfigError("population.seed is the run's own seed; leave it out, and set seed.")
+    if config.env.served:
+        raise ConfigError(f"a population cannot share {config.env.name}, which others serve.")
 
 
 def member_directories(root: Path, config: RunConfig) -> list[RunDirectory]:

@@ -43,9 +43,10 @@ class PopulationServer(EventServer[ExploitMessage]):
         self._unled: float | None = None
 
     def _apply(self, message: ExploitMessage) -> Callable[[], None] | None:
-        due = round_due(self._trainer.config, self._trainer.progress)
-        if message.round > due:
-            raise SchemaError(f"round {message.round} is not due yet; the newest one that is due is {due}.")
+        # One that is not due here yet is that of others: this learner has joined late, or was away.
+        newest = round_due(self._trainer.config, 1.0)
+        if message.round > newest:
+            raise SchemaError(f"round {message.round} never falls due in this run; the last one is {newest}.")
         event, before = message.to_event(), hyperparameters_of(self._trainer.config)
         return partial(self._on_applied, event, before) if self._trainer.exploit(event) else None
 

@@ -193,6 +193,20 @@ def test_another_coordinator_goes_on_with_the_next_round(trial):
     assert [[event.round for event in member.told] for member in trial.members] == [[1, 3]] * 3
 
 
+def test_who_joins_late_takes_part_at_once(trial):
+    """Rounds that the others have had do not wait for it; it imitates the best in the next one."""
+    first, second, late = trial.members
+    first.round = second.round = 2
+    first.episodes = second.episodes = 25
+    turns = []
+    trial.until(lambda: turns.append(1) or len(turns) > 40, "turns")
+    assert not any(member.told for member in trial.members)
+    second.episodes = first.episodes = 30
+    trial.held(3, *trial.members)
+    assert late.told[0].sources == ("member-1", "member-0")
+    assert [len(member.told) for member in trial.members] == [1, 1, 1]
+
+
 def test_a_round_that_the_weak_one_did_not_take_is_held_again(trial):
     """Nobody else hears of it before, so that another coordinator does not take it for held."""
     first, second, weak = trial.members

@@ -13,7 +13,7 @@ from eia_sec.common.text import printable, printable_lines
 from eia_sec.deploy.commands.fleet.status import show
 from eia_sec.deploy.exit_codes import DONE, FAILED
 from eia_sec.deploy.hosts import operations
-from eia_sec.deploy.hosts.fleet_file import read
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
 from eia_sec.deploy.hosts.history_collection import collect
 from eia_sec.deploy.hosts.plan import here, processes
 from eia_sec.deploy.hosts.render import keeping, left_over, render
@@ -118,11 +118,20 @@ def command(arguments: Sequence[str]) -> int:
         states, failed = operations.up(fleet)
         show(fleet, states, failed)
         return FAILED if failed else DONE
+    return _collect(fleet, task, console)
+
+
+def _collect(fleet: FleetSpec, task: CollectArguments, console: Console) -> int:
     found = collect(fleet, task.out)
-    console.print(f"{found.files} files in {task.out}; check them with: eia-sec audit {task.out}")
+    console.print(f"{found.files} files in {task.out}; check them with:")
+    for run in fleet.runs:
+        console.print(f"eia-sec audit {task.out / run.folder}")
     for name in found.left_out:
         console.print(f"skipped, because it does not belong to that host: {printable(name)}")
     for host in found.strays:
+        if fleet.population:
+            console.print(f"{host} holds files of a member whose learner runs elsewhere; they were not collected.")
+            continue
         console.print(
             f"{host} holds learner's files of run {fleet.run}, and [learner] names {fleet.learner.host}: they were not "
             f"collected; `eia-sec fleet move-learner {task.file}` moves them."

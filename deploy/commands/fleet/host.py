@@ -79,11 +79,11 @@ def _request() -> dict[str, Any]:
 def _answer(verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     if verb == "up":
         words = request["processes"], request["files"], request["start"]
-        return agent.up(folder, *words, again=bool(request["again"]))
+        return agent.up(folder, *words, again=[str(name) for name in request["again"]])
     if verb == "down":
         return agent.down(folder, request["roles"], float(request["seconds"]), bool(request["kill"]))
     if verb == "logs":
         return agent.logs(folder, request["names"], int(request["lines"]))
     if verb == "forget":
         return {"kept": learner_move.forget(folder)}
-    return agent.status(folder)
+    return agent.status(folder, request.get("learners", {}))

@@ -58,7 +58,7 @@ def _require_processes(fleet: FleetSpec, wanted: Sequence[str]) -> None:
 
     A process that has left the fleet file still has its log.
     """
-    known = ["keeper", *(str(process.identity) for process in processes(fleet, here(fleet)))]
+    known = ["keeper", *(process.label for process in processes(fleet, here(fleet)))]
     strangers = [name for name in wanted if name not in known]
     if strangers and (missing := _without_log(fleet, strangers)):
         more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""

@@ -43,7 +43,7 @@ def command(arguments: Sequence[str]) -> int:
         sys.stdout.write(json.dumps({"hosts": states, "failed": failed}) + "\n")
     else:
         show(fleet, states, failed)
-    named = [(process.host, str(process.identity)) for process in processes(fleet, here(fleet))]
+    named = [(process.host, process.label) for process in processes(fleet, here(fleet))]
     words = [states.get(host, {}).get("processes", {}).get(name, {}).get("state") for host, name in named]
     return DONE if all(word in ("running", "finished") for word in words) else FAILED
 
@@ -52,7 +52,7 @@ def show(fleet: FleetSpec, states: Mapping[str, dict[str, Any]], failed: Mapping
     """Print a table of all processes, named or running, then alarms and failed hosts."""
     table = Table("host", "process", "state", "pid", "since", "deaths", box=None)
     rows: dict[tuple[str, str], dict[str, Any]] = {
-        (process.host, str(process.identity)): {} for process in processes(fleet, here(fleet))
+        (process.host, process.label): {} for process in processes(fleet, here(fleet))
     }
     rows |= {(host, name): found for host, state in states.items() for name, found in state["processes"].items()}
     for (host, name), found in rows.items():

@@ -30,6 +30,7 @@ def command(arguments: Sequence[str]) -> int:
     states, failed = operations.up(fleet)
     show(fleet, states, failed)
     tls = f" --tls {fleet.keys}/monitor.monitor" if fleet.keys is not None else ""
-    watch = f"eia-sec monitor --run {fleet.run} --connect {fleet.network.endpoint}{tls}"
-    sys.stdout.write(f"watch with:  {watch}\n")
+    for run in fleet.runs:
+        watch = f"eia-sec monitor --run {run.name} --connect {fleet.network.endpoint}{tls}"
+        sys.stdout.write(f"watch with:  {watch}\n")
     return FAILED if failed else DONE

@@ -26,7 +26,7 @@ from eia_sec.deploy.commands.training.population import PopulationTraining, best
 from eia_sec.deploy.local.code_options import code_options, plugin_options
 from eia_sec.deploy.local.environment_trial import tried
 from eia_sec.deploy.local.learners import refuse_torchrun, require_learners
-from eia_sec.deploy.local.members import FOLDER, Members, member_directories, member_name
+from eia_sec.deploy.local.members import FOLDER, Members, member_directories, member_name, require_population
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK, RunDirectory, new_folder
 from eia_sec.deploy.local.served_environments import tried_spec
 from eia_sec.deploy.local.threads import allowed_cores
@@ -250,10 +250,7 @@ def _require_population(options: TrainArguments) -> None:
     }
     if named := [name for name, given in alone.items() if given]:
         raise UsageError(f"{named[0]} is for a run alone; leave it or --population out.")
-    if options.settings.population.seed not in (0, options.settings.seed):
-        raise ConfigError("population.seed is the run's own seed in eia-sec train; leave it out, and set --seed.")
-    if options.settings.env.served:
-        raise ConfigError(f"a population cannot share {options.settings.env.name}, which others serve.")
+    require_population(options.settings)
 
 
 def _start(options: TrainArguments, team: TeamSpec) -> StartParameters:

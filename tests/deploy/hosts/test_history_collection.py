@@ -10,16 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from eia_sec.common.config import RunConfig
 from eia_sec.common.errors import ConfigError, HostError, UsageError
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.hosts import archive as archives
 from eia_sec.deploy.hosts import history_collection, operations, remote
 from eia_sec.deploy.hosts.archive import unpack
-from eia_sec.deploy.hosts.fleet_file import FleetSpec, Host, LearnerSpec, read
+from eia_sec.deploy.hosts.fleet_file import FleetRun, FleetSpec, Host, LearnerSpec, read
 from eia_sec.deploy.hosts.history_collection import own_names, pack
 from eia_sec.deploy.hosts.remote import Link
 
-FLEET = FleetSpec(learner=LearnerSpec("one"), hosts={"one": Host(), "one-1": Host()})
+RUN = FleetRun("farm", LearnerSpec("one"), RunConfig())
+FLEET = FleetSpec(learner=RUN.learner, hosts={"one": Host(), "one-1": Host()}, runs=(RUN,))
 
 
 def archive(*entries, **options):

@@ -36,9 +36,9 @@ def kept(tmp_path, monkeypatch):
 
 
 def plan(folder, *, again=True, **programs):
-    """Write a plan; a program is a line of Python."""
+    """Write a plan, whose processes are started again or not; a program is a line of Python."""
     processes = {f"rollout.{name}": {"arguments": [text], "threads": 1} for name, text in programs.items()}
-    write_json(folder / PLAN, new_plan(processes, again=again))
+    write_json(folder / PLAN, new_plan(processes, again=processes if again else ()))
 
 
 def turn(kept, times=1):
@@ -76,7 +76,7 @@ def test_a_full_disk_ends_no_process(kept, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(keeper, "write_json", refuse)
-    write_json(tmp_path / PLAN, new_plan({}, again=True))
+    write_json(tmp_path / PLAN, new_plan({}, again=()))
     turn(kept, 3)
     assert states(tmp_path) == {"rollout.a": "running"}
     monkeypatch.setattr(keeper, "write_json", write_json)
@@ -158,7 +158,7 @@ def test_a_process_that_ends_by_itself_is_no_failure_of_kill(tmp_path, monkeypat
     """`down --kill` of one that ended between two looks of its keeper brings an answer like any other."""
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    write_json(tmp_path / PLAN, new_plan({}, again=True))
+    write_json(tmp_path / PLAN, new_plan({}, again=()))
     found = [{"rollout.a": ended.pid}, {"rollout.a": ended.pid}, {}]
     monkeypatch.setattr(agent, "_pids", lambda folder, roles: found.pop(0) if len(found) > 1 else found[0])
     assert agent.down(tmp_path, ["rollout"], 0.05, kill=True) == {"ended": ["rollout.a"], "left": []}
@@ -173,10 +173,10 @@ def test_a_run_that_came_to_its_end_is_over(tmp_path, metrics, changed, over):
     config = preset("quick")
     os.makedirs(tmp_path / "run")
     (tmp_path / "run" / "config.toml").write_text(to_toml(config))
-    (tmp_path / "config.toml").write_text(to_toml(replace(config, seed=config.seed + changed)))
+    wanted = to_toml(replace(config, seed=config.seed + changed))
     if metrics is not None:
         (tmp_path / "run" / "metrics.jsonl").write_text(json.dumps({"kind": "end", "state": metrics}) + "\n")
-    assert agent._is_over(tmp_path) is over
+    assert agent.status(tmp_path, {"l": {"run": "run", "config": wanted}})["over"] == ["l"] * over
 
 
 def test_a_plan_that_starts_nothing_leaves_what_is_new_alone(kept, tmp_path):
@@ -274,7 +274,6 @@ def test_a_run_with_a_plugin_is_over_though_the_keeper_lacks_it(tmp_path):
     """Texts that are equal need not be understood."""
     os.makedirs(tmp_path / "run")
     text = to_toml(replace(preset("quick"), plugins=PluginNames(("mytask",))))
-    for path in (tmp_path / "run" / "config.toml", tmp_path / "config.toml"):
-        path.write_text(text)
+    (tmp_path / "run" / "config.toml").write_text(text)
     (tmp_path / "run" / "metrics.jsonl").write_text(json.dumps({"kind": "end", "state": "finished"}) + "\n")
-    assert agent._is_over(tmp_path)
+    assert agent._is_over(tmp_path / "run", text)

@@ -1,14 +1,12 @@
 """A run moves to another host whole, is never begun anew where one exists, and never held twice."""
 
 import io
-import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 
-from eia_sec.common.config.files import to_toml
-from eia_sec.common.config.presets import preset
 from eia_sec.common.errors import HostError, RunDirError, UsageError
 from eia_sec.deploy.cli import dispatch
 from eia_sec.deploy.hosts import agent, archive, learner_move, operations, run_holders
@@ -68,6 +66,17 @@ def fleet(tmp_path):
     return read(tmp_path / "fleet.toml")
 
 
+@pytest.fixture
+def population(tmp_path):
+    """The same hosts with a member of a population each."""
+    members = (
+        '[training]\nset = ["population.members = 2"]\n[router]\nhost = "one"\n[population.member-0]\nhost = "one"\n'
+    )
+    text = FLEET.replace("[learner]", f"{members}[population.member-1]")
+    (tmp_path / "fleet.toml").write_text(text)
+    return read(tmp_path / "fleet.toml")
+
+
 def test_up_refuses_to_begin_a_run_anew(fleet, tmp_path):
     """With the learner's host changed, one sentence names the host that holds the run, and nothing is started."""
     with pytest.raises(UsageError, match=r"one holds run test, and \[learner\] names two, where it would begin anew"):
@@ -120,6 +129,52 @@ def test_the_learner_starts_where_the_run_is_or_where_there_never_was_one(fleet,
             run_holders.require_one_run(fleet, states, failed)
     else:
         run_holders.require_one_run(fleet, states, failed)
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "said"),
+    [
+        ("nothing", "nothing", ""),
+        ("run", "nothing", r"one holds member-1 of run test, and \[population.member-1\] names two"),
+        ("run", "run", "one and two both hold run/members/member-1"),
+        ("nothing", "run", ""),
+        ("histories", "nothing", "one has histories of workers of member-1"),
+        (None, "nothing", "one, which may hold it, was not reached"),
+        (None, "run", ""),
+        ("nothing", None, ""),
+    ],
+)
+def test_each_member_of_a_population_starts_where_its_run_is(population, one, two, said):
+    """Or where there never was one; the other member, which is where it belongs, changes nothing."""
+    held = {"one": one, "two": two}
+    states = {
+        host: {"members": {"member-0": "run" if host == "one" else "nothing", "member-1": what}}
+        for host, what in held.items()
+        if what is not None
+    }
+    failed = {host: "no connection" for host, what in held.items() if what is None}
+    if one is None:
+        states["two"]["members"]["member-0"] = "run"
+        population = replace(population, runs=population.runs[1:])
+    if said:
+        with pytest.raises((UsageError, HostError), match=said):
+            run_holders.require_one_run(population, states, failed)
+    else:
+        run_holders.require_one_run(population, states, failed)
+
+
+def test_a_host_tells_which_members_it_holds(tmp_path):
+    """Those with a run, and those of which it has workers' histories alone."""
+    inside = tmp_path / "run" / "members"
+    write(inside, {"member-0/config.toml": b"", "member-1/history/rollout-a-0.jsonl": b"1"})
+    write(inside, {"member-2/history/rollout-a-1.jsonl": b""})
+    assert agent.status(tmp_path)["members"] == {"member-0": "run", "member-1": "histories"}
+
+
+def test_a_members_run_is_moved_by_hand(population):
+    """`fleet move-learner` says so."""
+    with pytest.raises(UsageError, match="is for a run alone; to move a member, stop the fleet and move its folder"):
+        operations.move_learner(population, 1.0)
 
 
 def test_a_run_moves_whole(fleet, tmp_path):
@@ -217,24 +272,14 @@ def test_collect_names_a_host_that_still_holds_the_learners_files(fleet, tmp_pat
     assert "one holds learner's files of run test, and [learner] names two: they were not collected" in said
 
 
-def finished(folder):
-    """Write a finished run and its host's configuration into a host's folder."""
-    config = to_toml(preset("quick")).encode()
-    end = json.dumps({"kind": "end", "state": "finished"}).encode() + b"\n"
-    write(folder, {"config.toml": config, "run/config.toml": config, "run/metrics.jsonl": end})
-    return config.decode()
-
-
 def test_up_on_a_finished_run_starts_nothing(tmp_path):
     """Neither what has finished nor a worker that is new, whatever ran before; status calls them finished."""
-    config = finished(tmp_path)
     never = {"arguments": ["no such command"], "threads": 1}
-    named = {agent.LEARNER: never, "rollout.a": never}
+    named = {"learner.learner": never, "rollout.a": never}
     try:
-        state = agent.up(tmp_path, named, {"config.toml": config}, "detached")
-        assert state["over"]
+        state = agent.up(tmp_path, named, {}, "detached", again=())
         assert {name: found["state"] for name, found in state["processes"].items()} == dict.fromkeys(named, "finished")
         assert not list((tmp_path / "logs").glob("*"))
     finally:
-        write_json(tmp_path / PLAN, agent.keeper.new_plan({}, again=False))
+        write_json(tmp_path / PLAN, agent.keeper.new_plan({}, again=()))
         subprocess.run(["sleep", "0.6"], check=True)

@@ -53,7 +53,7 @@ def test_a_due_round_is_applied_once(started):
 @pytest.mark.parametrize(
     ("number", "options", "said"),
     [
-        (9, {}, "round 9 is not due yet; the newest one that is due is 2"),
+        (10, {}, "round 10 never falls due in this run; the last one is 9"),
         (1, {"epoch": 4}, "another start of the learner"),
         (1, {"name": "other"}, "another coordinator leads"),
     ],
