@@ -81,8 +81,8 @@ def test_an_observation_of_another_layout_is_refused():
 
 @pytest.mark.slow
 def test_four_learn_what_nine_can_do():
-    """After 60,000 steps of four walkers, nine of them come much closer to one another than by chance."""
-    run = eia_sec.train("meet", plugins=["crowd"], steps=60_000, seed=1, settings=SETTINGS)
+    """After 24,000 steps of four walkers, nine of them come much closer to one another than by chance."""
+    run = eia_sec.train("meet", plugins=["crowd"], steps=24_000, seed=1, settings=SETTINGS)
     nine = {"env.arguments": json.dumps({"agents": 9})}
     found, chance = (
         eia_sec.evaluate(policy, "meet", plugins=["crowd"], settings=nine, farms=range(1000, 1030)).interval
