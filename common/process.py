@@ -173,10 +173,21 @@ def denial(bus: Bus, run: str, key: str) -> str | None:
 
 
 def connect(endpoint: Endpoint, lane: Any, stop: StopSignal, patience: float) -> Bus:
-    """Connect a lane, waiting `patience` seconds for a listener.
+    """Connect a lane, waiting `patience` seconds for a listener; after the first, the log says so.
 
     Raises:
         EndpointError: when there is none.
         CancelledError: when a stop signal comes first.
     """
-    return Bus.connect(endpoint, lane, wait=patience, waiting=lambda: not stop)
+    end = monotonic() + patience
+    silent = True
+
+    def waiting() -> bool:
+        nonlocal silent
+        left = end - monotonic()
+        if silent and 0.0 < left < patience - 1.0:
+            silent = False
+            log(f"waiting for a listener at {endpoint}, for {left:.0f} s more.")
+        return not stop
+
+    return Bus.connect(endpoint, lane, wait=patience, waiting=waiting)

@@ -23,6 +23,7 @@ from eia_sec.common.names import is_name
 from eia_sec.common.text import printable
 from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
+from eia_sec.deploy.listener import connected
 from eia_sec.deploy.local.run_directory import TRAIN_LOCK
 from eia_sec.deploy.progress import Countdown
 
@@ -194,8 +195,7 @@ def reached(run: LocalRun, tls: Path | None, patience: float, waiting: Callable[
     """
     endpoint = Endpoint.parse(run.endpoint, tls)
     try:
-        with Countdown(f"a listener at {endpoint}", patience, waiting) as waits:
-            return Bus.connect(endpoint, "control", patience, waits)
+        return connected(endpoint, patience, waiting)
     except EndpointError as error:
         if type(error) is not EndpointError:
             raise

@@ -41,7 +41,7 @@ from eia_sec.rollout.worker.view_service import ViewService
 
 FOLDER = Path("docs/images")
 RUN, WORKER = "farm", "0"
-SHOWN = "trained:eia-sec"
+SHOWN = "trained"
 """The policy that the pictures show."""
 FARM, STEP = 1003, 300
 """Farm and step of the film's picture; the page shows the worker's own farm at that step."""
@@ -64,7 +64,7 @@ def replay_pictures(picture_path: Path, film_path: Path) -> None:
     from PIL import Image  # noqa: PLC0415  (loaded only where a picture is made)
 
     names = ("EIA-SEC (shipped policy)", "horizon")
-    comparison = Comparison(preset("eia-sec").farm, (SHOWN, "horizon"), names, FARM, 0)
+    comparison = Comparison(preset("inertial").farm, (SHOWN, "horizon"), names, FARM, 0)
     picture, frames = None, []
     for scenes in scenes_of(comparison):
         picture = picture or SideBySidePicture(comparison.names, scenes)
@@ -129,7 +129,7 @@ def serving(endpoint: Endpoint, run: str) -> Iterator[str]:
 
 def farm_page(path: Path) -> None:
     """Save the page while a worker flies the policy that ships."""
-    _page(path, flying(preset("eia-sec"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER), STEP)
+    _page(path, flying(preset("inertial"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER), STEP)
 
 
 def environment_page(path: Path) -> None:

@@ -306,3 +306,24 @@ def test_environments_but_the_farm_have_a_preset_of_their_own(tmp_path: Path) ->
     assert base_configuration(["--env", "farm"]) == base_configuration([]) == PRESETS["inertial"]
     given = base_configuration(["--env", "toy_env:Relay", "--episodes", "30"])
     assert (given.episodes, given.steps) == (30, 0)
+
+
+NOBODY = ["--connect", "tcp/127.0.0.1:9", "--patience", "2.6"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["alive", "rollout", "a", *NOBODY],
+        ["elite", *NOBODY],
+        ["simulator", *NOBODY],
+        ["fly", "--policy", "trained:eia-sec", *NOBODY],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_whoever_waits_for_a_listener_says_so(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    """Nobody waits in silence for longer than two seconds."""
+    run_command(lambda: dispatch(arguments))
+    told = capsys.readouterr()
+    assert "waiting for a listener at tcp/127.0.0.1:9" in told.err
+    assert "nobody answers" in told.out + told.err

@@ -12,9 +12,9 @@ from eia_sec.common.config.checks import within
 from eia_sec.common.errors import CredentialsError, EndpointError, UsageError
 from eia_sec.common.names import check_name
 from eia_sec.common.protocol import keys
-from eia_sec.common.transport.bus import Bus
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE, FAILED
+from eia_sec.deploy.listener import connected
 from eia_sec.deploy.options import parse
 
 LIVING: Final = ("learner", "rollout", "elite", "router")
@@ -53,7 +53,7 @@ def command(arguments: Sequence[str]) -> int:
     endpoint = Endpoint.parse(options.connect, options.tls)
     who = f"{options.role} {options.name} of run {options.run}"
     try:
-        with Bus.connect(endpoint, "control", options.patience) as bus:
+        with connected(endpoint, options.patience) as bus:
             if options.role == "router" or bus.living(key):
                 return _report(f"{who} is alive.", DONE)
             waiting = options.role != "learner" and not bus.living(keys.LIVE.pattern(options.run, role="learner"))

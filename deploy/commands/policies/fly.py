@@ -26,6 +26,7 @@ from eia_sec.deploy.flight.pilot import Pilot, PilotOptions, require_agents
 from eia_sec.deploy.flight.poses import Field
 from eia_sec.deploy.flight.record import FlightRecord
 from eia_sec.deploy.flight.vehicle import LONGEST_VALIDITY, OLDEST_POSE
+from eia_sec.deploy.listener import connected
 from eia_sec.deploy.local.run_directory import RunDirectory
 from eia_sec.deploy.options import parse
 from eia_sec.rollout.farm_files.projection import TangentPlane
@@ -106,7 +107,7 @@ def command(arguments: Sequence[str]) -> int:
     with ExitStack() as opened:
         record = opened.enter_context(make_record(options, pilot)) if options.record is not None else None
         bus = opened.enter_context(
-            Bus.connect(endpoint, "control", options.patience, lambda: not stop)
+            connected(endpoint, options.patience, lambda: not stop)
             if options.connect
             else Bus.listen(endpoint, "control")
         )

@@ -23,6 +23,7 @@ from eia_sec.deploy.commands.policies.fly import farm_of, vehicles_of
 from eia_sec.deploy.flight.pilot import require_agents
 from eia_sec.deploy.flight.simulator import Flight, SimulatedFleet
 from eia_sec.deploy.flight.vehicle import VehicleLink
+from eia_sec.deploy.listener import connected
 from eia_sec.deploy.options import parse
 
 
@@ -92,7 +93,7 @@ def _links(
         if shared is None or options.tls is not None:
             folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None
             endpoint = Endpoint.parse(options.connect, folder)
-            shared = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
+            shared = opened.enter_context(connected(endpoint, options.patience, lambda: not stop))
         links[agent] = VehicleLink(shared, options.run, vehicle, agent, fastest, heights=(0.0, math.inf))
     return links
 
