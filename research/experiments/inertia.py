@@ -67,7 +67,7 @@ def main() -> None:
     config, made = preset("inertial"), provenance("research.experiments.inertia")
     for name in arguments.policies:
         policy = ActorPolicy(untrained(config)) if name == UNTRAINED else policy_of(name, config.farm)
-        _store(arguments.write, made, flown(config, policy, Path(name).stem, arguments.farms))
+        stored(arguments.write, made, flown(config, policy, Path(name).stem, arguments.farms))
     for seed, algorithm in itertools.product(arguments.seeds, arguments.algorithms):
         actors, costs = trained(with_values(config, {"seed": seed, "algorithm.name": algorithm}))
         origin = {"command": f"{made['command']} --seeds {seed} --algorithms {algorithm}", "commit": made["commit"]}
@@ -77,7 +77,7 @@ def main() -> None:
         if arguments.ship:
             save_policy(TRAINED, actors, {**origin, "seed": str(seed)}, half=True)
         label = f"{ALGORITHM_LABELS[algorithm]}, seed {seed}"
-        _store(arguments.write, made, {**flown(config, ActorPolicy(actors), label, arguments.farms), **costs})
+        stored(arguments.write, made, {**flown(config, ActorPolicy(actors), label, arguments.farms), **costs})
 
 
 def untrained(config: RunConfig) -> TeamActors:
@@ -114,7 +114,7 @@ def flown(config: RunConfig, policy: Policy, name: str, farms: str) -> dict[str,
     return {**scores, "first_farm": seeds.start, "farms": len(seeds)}
 
 
-def _store(folder: Path, made: dict[str, Any], result: dict[str, Any]) -> None:
+def stored(folder: Path, made: dict[str, Any], result: dict[str, Any]) -> None:
     """Write one more result, in place of an earlier one of the same policy."""
     earlier = (read_json(folder / "results.json") or {"results": []})["results"]
     results = [other for other in earlier if other["policy"] != result["policy"]]

@@ -8,6 +8,8 @@ from research.pages.interval_tables import COLUMNS, DECIMALS, ranked
 
 UNTRAINED: Final = "untrained"
 """Name of the team with which training begins."""
+FORESIGHT: Final = "foresight"
+"""Name of the search that knows everything to come, see `research.experiments.foresight`."""
 ALGORITHM_LABELS: Final = {"eia-ppo": "EIA-SEC", "ippo": "IPPO", "mappo": "MAPPO"}
 """What algorithms are called in the tables."""
 AIM: Final = 1.05
@@ -42,6 +44,13 @@ def inertia_block(data: dict[str, Any]) -> str:
         if base:
             half = "less" if base["reward"][0] < 0.5 * mean else "not less"
             text += f" The untrained team earns {base['reward'][0]:.0f}, {half} than half of that."
+        parts += [wrapped(text), ""]
+    best = next((result for result in data["results"] if result["policy"] == FORESIGHT), None)
+    if bar and best:
+        ratio = best["reward"][0] / bar["reward"][0]
+        text = f"""{FORESIGHT} is no policy: in every step it tries each UAV's commands on copies of the farm, with
+            all random numbers to come, and the policy that ships flies on from there
+            (`research/experiments/foresight.py`). It earns {ratio:.2f} times what {bar["policy"]} does."""
         parts += [wrapped(text), ""]
     return "\n".join(parts)
 
