@@ -37,3 +37,11 @@ def test_the_best_come_first_and_teams_that_learned_stand_out():
         }
     )
     assert text.index("| **IPPO, seed 3** |") < text.index("| lawnmower |")
+
+
+def test_foresight_is_compared_and_is_no_bar():
+    """A search that sees what is to come says what is left, and teams are measured by heuristics."""
+    rows = [result("horizon", 200.0), result("foresight", 220.0)]
+    text = " ".join(inertia_block({"results": rows}).split())
+    assert "foresight is no policy" in text
+    assert "It earns 1.10 times what horizon does." in text
