@@ -8,6 +8,7 @@ import errno
 import os
 import resource
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -78,6 +79,14 @@ class AdmissionSource:
     def alarms(self) -> list[str]:
         """Return the alarms of what `metrics` found last."""
         return [] if self._newest is None else self._newest.alarms()
+
+
+def raise_limit() -> None:
+    """Let this process open as many descriptors as its hard limit allows; every member of a run takes two."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        with suppress(OSError, ValueError):  # a sandbox may forbid it
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
 def admission(endpoint: Endpoint) -> Admission:

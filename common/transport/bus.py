@@ -22,6 +22,7 @@ from eia_sec.common.clock import monotonic
 from eia_sec.common.errors import BusClosedError, BusError, CancelledError, EndpointError, ForkedProcessError
 from eia_sec.common.loops import Loop, run
 from eia_sec.common.text import printable
+from eia_sec.common.transport.admission import raise_limit
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 from eia_sec.common.transport.handshake import complaint, silence
 from eia_sec.common.transport.zenoh_config import Values, admitting_px4, connecting, listening, routing
@@ -222,6 +223,7 @@ class Bus:
 
     @classmethod
     def _listening(cls, values: Values, endpoint: Endpoint, where: str) -> "Bus":
+        raise_limit()
         try:
             return cls(_open(values), endpoint.credentials)
         except zenoh.ZError as error:

@@ -61,9 +61,10 @@ def complaint(endpoint: Endpoint, lane: Lane) -> str | None:
 def silence(endpoint: Endpoint, lane: Lane) -> str:
     """Return one sentence on a listener that did not answer in time."""
     where = endpoint.locator(lane)
-    if endpoint.credentials is not None:
-        with contextlib.suppress(OSError), _dial(endpoint, lane):
+    with contextlib.suppress(OSError), _dial(endpoint, lane):
+        if endpoint.credentials is not None:
             return f"{where} accepts connections but answers no TLS handshake: it hangs, or listens without TLS."
+        return f"{where} accepts connections but opens no session: it hangs, or has as many as it can."
     return f"nobody answers at {where}."
 
 

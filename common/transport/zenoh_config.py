@@ -30,6 +30,8 @@ ACCEPT_MS: Final = 4000
 """Time that a connection has to become a session, after its TLS handshake."""
 ACCEPT_PENDING: Final = 1000
 """Most connections that may be in that phase at once; Zenoh hangs up on further ones."""
+MAX_SESSIONS: Final = 16_384
+"""Most sessions of a listener, two for each worker; Zenoh's own 1,000 end at the 500th. Descriptors may end before."""
 HANDSHAKE_MS: Final = 60_000
 """Time that a connection has for its TLS handshake.
 
@@ -52,6 +54,7 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
         "listen/exit_on_failure": True,
         "transport/unicast/accept_timeout": ACCEPT_MS,
         "transport/unicast/accept_pending": ACCEPT_PENDING,
+        "transport/unicast/max_sessions": MAX_SESSIONS,
     }
     credentials = endpoint.credentials
     if credentials is not None:

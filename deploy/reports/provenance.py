@@ -27,7 +27,9 @@ def command(program: str, arguments: Sequence[str]) -> str:
 def commit() -> str:
     """Return the current folder's commit, with -dirty if files differ, or "unknown"."""
     try:
-        asked = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+        asked = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--exclude=*"], capture_output=True, text=True, check=False
+        )
     except OSError:  # there is no git
         return "unknown"
     return asked.stdout.strip() or "unknown"

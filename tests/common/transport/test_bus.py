@@ -1,6 +1,7 @@
 """The four deliveries over a real Zenoh session on loopback."""
 
 import re
+import resource
 import socket
 import threading
 import time
@@ -177,6 +178,28 @@ def test_a_taken_address_and_a_dead_one_are_endpoint_errors() -> None:
         Bus.connect(endpoint, "control")
     with Bus.listen(endpoint, "control"), pytest.raises(EndpointError, match="in use"):
         Bus.listen(endpoint, "control")
+
+
+def test_a_listener_that_is_full_is_told_from_none(endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever comes when all sessions are taken hears that somebody listens."""
+    monkeypatch.setattr("eia_sec.common.transport.zenoh_config.MAX_SESSIONS", 1)
+    with (
+        Bus.listen(endpoint, "control"),
+        Bus.connect(endpoint, "control", wait=5.0),
+        pytest.raises(EndpointError, match="accepts connections but opens no session"),
+    ):
+        Bus.connect(endpoint, "control")
+
+
+def test_a_listener_may_open_as_many_descriptors_as_the_machine_allows(endpoint: Endpoint) -> None:
+    """The soft limit, often 1,024, would end at the 500th worker."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+        with Bus.listen(endpoint, "control"):
+            assert resource.getrlimit(resource.RLIMIT_NOFILE) == (hard, hard)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_a_process_that_comes_too_early_tries_again_soon() -> None:

@@ -1,0 +1,41 @@
+"""The table of what many workers cost a router."""
+
+from typing import Any
+
+from research.pages.blocks import table
+
+HEADINGS = (
+    "workers",
+    "join, s",
+    "router while they join, s of a core",
+    "router then, cores",
+    "metrics heard",
+    "descriptors",
+    "memory, MB",
+    "parameters arrive after, ms (median, 99 %)",
+)
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as a page."""
+    origin = f"`{data['command']}`, commit {data['commit']}, {data['cores']} cores"
+    return "\n".join(["# Many workers at one router", "", sessions_block(data), "", f"Made by {origin}.", ""])
+
+
+def sessions_block(data: dict[str, Any]) -> str:
+    """Return a row for each number of workers."""
+    return table(HEADINGS, [_row(result) for result in data["results"] if not result["without"]])
+
+
+def _row(result: dict[str, Any]) -> list[str]:
+    delay = result["parameters_seconds"]
+    return [
+        f"{result['workers']:,}",
+        f"{result['join_seconds']:.1f}",
+        f"{result['router_join_cpu_seconds']:.1f}",
+        f"{result['router_cores']:.2f}",
+        f"{result['metrics_heard']:.0%}",
+        f"{result['router_descriptors']:,}",
+        f"{result['router_megabytes']:,}",
+        f"{1e3 * delay['median']:.0f}, {1e3 * delay['p99']:.0f}",
+    ]
