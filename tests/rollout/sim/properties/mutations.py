@@ -238,6 +238,7 @@ def copy_sources(folder: Path) -> None:
         shutil.copytree(ROOT / package, folder / package, ignore=ignore)
     shutil.copytree(ROOT / "src", folder / "src", ignore=ignore, symlinks=True)
     shutil.copytree(ROOT / TESTS, folder / TESTS, ignore=ignore)
+    shutil.copy(ROOT / "tests" / "constants.py", folder / "tests" / "constants.py")
     shutil.copy(ROOT / "pyproject.toml", folder / "pyproject.toml")
 
 

@@ -41,6 +41,14 @@ def test_the_copy_is_what_is_tested(tmp_path):
     assert Path(found.stdout.strip()).resolve() == tmp_path / "rollout" / "sim" / "batch.py"
 
 
+@pytest.mark.slow
+def test_a_copy_has_all_that_its_tests_import(tmp_path):
+    """Every property test of a copy is collected; one that is not would fail whatever the error."""
+    copy_sources(tmp_path)
+    code, _, said = run_properties(tmp_path, "plain", "--collect-only")
+    assert code == 0, said
+
+
 def test_every_property_file_is_run():
     """The list of files names all that there are."""
     assert sorted(PROPERTIES) == sorted(path.name for path in Path(__file__).parent.glob("test_properties_*.py"))
