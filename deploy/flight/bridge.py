@@ -3,7 +3,7 @@
 Arming, modes and every kind of recovery stay the pilot's and the autopilot's: the bridge sends velocity set-points
 alone. Their stream ends with the flight node's and with the autopilot's positions, so the autopilot's own time-out
 acts. Each new stream commands velocity 0 until the pilot gives it the go: a change of mode, or of arming, while it
-streams.
+streams. What a failsafe changes is no go: PX4 goes back to Offboard by itself when the stream is there again.
 
 In doubt the vehicle keeps its height and does not move: a set-point counts only near its height, by a fresh position.
 """
@@ -27,6 +27,8 @@ POSITION_SECONDS: Final = 1.0
 """Age of the newest position after which the stream of set-points ends."""
 FRESH_SECONDS: Final = 0.5
 """Age of the newest position up to which the vehicle moves."""
+HELD_SECONDS: Final = 10.0
+"""Longest time for which a link holds a message back; one that seems older comes from an autopilot that began anew."""
 DRIFT: Final = 2e-4
 """How much faster or slower the autopilot's clock may run."""
 CLIMB_GAIN: Final = 1.0
@@ -53,15 +55,17 @@ class Position:
 
 @dataclass(frozen=True)
 class Mode:
-    """The state of an autopilot that its pilot sets.
+    """The state of an autopilot that its pilot sets, but for failsafes.
 
     Attributes:
         name: what it calls its mode.
         armed: whether it is armed.
+        failsafe: whether a failsafe acts, so that the mode may be the autopilot's own choice.
     """
 
     name: str
     armed: bool
+    failsafe: bool = False
 
 
 class Autopilot(Protocol):
@@ -98,6 +102,7 @@ class Bridge:
         self._clock = AutopilotClock()
         self._height, self._measured = 0.0, -math.inf
         self._streams = self._go = False
+        self._chosen: Mode | None = None  # by the pilot, as this stream has seen it
         self._counts, self._counted = (0, 0, 0, 0), monotonic()
         self.sent = self.frozen = 0
         self.mode: Mode | None = None
@@ -144,7 +149,7 @@ class Bridge:
             reason = "the autopilot's position is old"
         if self._streams == (not reason):
             return
-        self._streams, self._go = not reason, False
+        self._streams, self._go, self._chosen = not reason, False, None
         begun = "set-points stream; the vehicle hovers until the pilot changes its mode or arming."
         log(f"{reason}; the stream ends." if reason else begun)
 
@@ -164,12 +169,14 @@ class Bridge:
         return replace(found, age=self._clock.age)
 
     def _note(self, mode: Mode) -> None:
-        """Log a change of mode or arming, which lets a stream move the vehicle."""
-        if mode == self.mode:
-            return
-        log(f"the autopilot is {'armed' if mode.armed else 'disarmed'}, in mode {mode.name}.")
-        self._go = self._streams and self.mode is not None
+        """Log a change of mode or arming; the pilot's lets a stream move the vehicle."""
+        if mode != self.mode:
+            why = ", by a failsafe" if mode.failsafe else ""
+            log(f"the autopilot is {'armed' if mode.armed else 'disarmed'}, in mode {mode.name}{why}.")
         self.mode = mode
+        if not mode.failsafe:
+            self._go = self._go or self._chosen not in (None, mode)
+            self._chosen = mode
 
     def _send(self, setpoint: SetpointMessage, now: float) -> None:
         """Send a set-point: north is y and east is x; down follows from the height. In doubt all are 0."""
@@ -202,11 +209,13 @@ class AutopilotClock:
             measured: seconds since the autopilot's start.
             now: seconds that never go back.
         """
-        restarted = measured < self._newest and now - self._read > POSITION_SECONDS
-        if measured <= self._newest and not restarted:
+        difference, known = now - measured, self._difference + DRIFT * (now - self._read)
+        earlier, older = measured < self._newest, difference - known > HELD_SECONDS
+        restarted = (earlier or older) and now - self._read > POSITION_SECONDS
+        if measured == self._newest or (earlier and not restarted):
             return False
-        known = math.inf if restarted else self._difference + DRIFT * (now - self._read)
-        difference = now - measured
+        if restarted:
+            known = math.inf
         self._difference = min(difference, known)
         self._newest, self._read, self.age = measured, now, difference - self._difference
         return True

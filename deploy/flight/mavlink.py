@@ -120,7 +120,8 @@ class MavlinkAutopilot:
         from pymavlink import mavutil  # noqa: PLC0415 - an extra that few users need
 
         armed = bool(message.base_mode & self._mav.MAV_MODE_FLAG_SAFETY_ARMED)
-        return Mode(mavutil.mode_string_v10(message), armed)
+        failsafe = message.system_status >= self._mav.MAV_STATE_CRITICAL
+        return Mode(mavutil.mode_string_v10(message), armed, failsafe)
 
     def _pose(self, message: Any, now: float) -> Pose:
         if now - self._blew > WIND_SECONDS or not all(map(math.isfinite, self._wind)):

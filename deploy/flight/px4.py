@@ -70,7 +70,7 @@ class Px4Autopilot:
         found: list[Position | Mode] = []
         for status in self._understood(self._statuses):
             mode = MODES.get(status.nav_state, str(status.nav_state))
-            found.append(Mode(mode, armed=status.arming_state == ARMED))
+            found.append(Mode(mode, status.arming_state == ARMED, bool(status.failsafe)))
         for position in self._understood(self._positions):
             pose = self._pose(position)
             if pose is None:

@@ -1,8 +1,8 @@
 """An autopilot that keeps the rules of Offboard and Guided: what a bridge is tested against. It has never flown.
 
 PX4: Offboard may be entered once a stream of 2 Hz has come for a second, and is left half a second after it ends; then
-the vehicle loiters. ArduPilot: Guided holds, and the vehicle stops 3 seconds after the last set-point. Both follow
-set-points only where they are armed and in that mode.
+the vehicle loiters, and goes back to Offboard by itself when a stream is there again. ArduPilot: Guided holds, and the
+vehicle stops 3 seconds after the last set-point. Both follow set-points only where they are armed and in that mode.
 """
 
 import math
@@ -24,6 +24,7 @@ class FakeAutopilot:
         mute: whether it keeps its position for itself.
         frozen: whether its positions' time stands still.
         broken: whether its positions are no numbers.
+        failsafe: whether it loiters by itself in the place of Offboard.
     """
 
     def __init__(self, clock, height, mode):
@@ -31,7 +32,7 @@ class FakeAutopilot:
         self.place, self.velocity, self.wanted, self.yaw = [0.0, 0.0, -height], [0.0] * 3, [0.0] * 3, 0.0
         self._begin = self._last = clock()
         self.seconds = 1e-3
-        self.mute = self.broken = False
+        self.mute = self.broken = self.failsafe = False
         self._gap_since = self._latest = -math.inf
         self.accepted, self.rejected, self.failsafes = 0, [], 0
 
@@ -41,17 +42,19 @@ class FakeAutopilot:
         streams = now - self._latest <= STREAM_GAP and now - self._gap_since >= 1.0
         if mode == "OFFBOARD" and not streams:
             return False
-        self.mode = mode
+        self.mode, self.failsafe = mode, False
         return True
 
     def turn(self):
         """Read, move and tell."""
         now = self._clock()
         self.read()
+        streams = now - self._latest <= STREAM_GAP
+        if self.mode == "OFFBOARD" and not streams:
+            self.mode, self.failsafe, self.failsafes = "LOITER", True, self.failsafes + 1
+        elif self.failsafe and streams:
+            self.mode, self.failsafe = "OFFBOARD", False
         flies = self.armed and self.mode in ("OFFBOARD", "GUIDED")
-        if self.mode == "OFFBOARD" and now - self._latest > STREAM_GAP:
-            self.mode, self.failsafes = "LOITER", self.failsafes + 1
-            flies = False
         if self.mode == "GUIDED" and now - self._latest > 3.0:
             flies = False
         dt, self._last = now - self._last, now

@@ -93,4 +93,4 @@ class FakeMavlink(FakeAutopilot):
                 autopilot, custom = M.MAV_AUTOPILOT_PX4, main << 16 | sub << 24
             else:
                 autopilot, custom = M.MAV_AUTOPILOT_ARDUPILOTMEGA, ARDUPILOT_MODES[self.mode]
-            self._wire.mav.heartbeat_send(M.MAV_TYPE_QUADROTOR, autopilot, base, custom, 4)
+            self._wire.mav.heartbeat_send(M.MAV_TYPE_QUADROTOR, autopilot, base, custom, 5 if self.failsafe else 4)

@@ -29,6 +29,8 @@ STATUSES = {
     STATUS_1_16: struct.Struct("@3Q3BQ3B2IH2B2?B?B5?3B11?"),
     STATUS_1_18: struct.Struct("@3Q3BQ4B?2I2B2?B?B5?3B12?"),
 }
+FAILSAFE = {STATUSES[STATUS_1_16]: 6, STATUSES[STATUS_1_18]: 7}
+"""Number of the field `failsafe` after `nav_state`."""
 LOCAL_POSITION = struct.Struct("@2Q4?3f2fBfB4f2fBfB7fB?f2?Q2df?3f2B4f?5f")
 TRAILING = bytes(28)
 
@@ -103,9 +105,10 @@ class FakePx4(FakeAutopilot):
         )
         if not self.mute:
             self._put(self._others if self.fault == "version" else self._positions, position, self.fault)
-        rest = len(self._status.unpack(bytes(self._status.size))) - 9
+        rest = [0] * (len(self._status.unpack(bytes(self._status.size))) - 9)
+        rest[FAILSAFE[self._status]] = self.failsafe
         state = NAV_STATES[self.mode]
-        status = self._status.pack(stamp, 0, 0, 2 if self.armed else 1, 0, 0, 0, state, state, *(0,) * rest)
+        status = self._status.pack(stamp, 0, 0, 2 if self.armed else 1, 0, 0, 0, state, state, *rest)
         self._put(self._statuses, status)
 
     def _put(self, publisher, message, fault=""):

@@ -140,6 +140,7 @@ def test_a_node_that_is_silent_stops_the_vehicle_then_the_stream(flight):
     flight.node = "main"
     flight.pass_time(2.0)
     assert flight.bridge.sent > sent
+    assert flight.autopilot.mode == "OFFBOARD"  # by itself, as PX4 does
     assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
     assert flight.link.lapses == 1
 
@@ -196,8 +197,13 @@ def test_positions_are_as_old_as_on_the_autopilots_clock():
     assert not clock.goes_on(0.5, 101.0)
     assert clock.goes_on(0.6, 102.0)
     assert clock.age == pytest.approx(0.0, abs=1e-3)
+    assert clock.goes_on(0.7, 105.0)
+    assert clock.age == pytest.approx(2.9, abs=1e-2)
+    assert clock.goes_on(5.0, 300.0)  # it was off for minutes, and now runs for longer than before
+    assert clock.age == pytest.approx(0.0, abs=1e-3)
+    assert clock.goes_on(5.1, 300.1)
     for second in range(3600):  # an autopilot whose clock is 50 ppm slow
-        assert clock.goes_on(1.6 + second * (1 - 5e-5), 103.0 + second)
+        assert clock.goes_on(6.1 + second * (1 - 5e-5), 301.1 + second)
     assert clock.age < 2e-3
 
 

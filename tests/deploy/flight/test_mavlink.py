@@ -47,6 +47,26 @@ def test_only_the_pilot_lets_a_vehicle_fly_again():
     flight.close()
 
 
+def test_a_mode_that_changed_while_the_link_was_cut_is_no_go():
+    """The stream has not seen the pilot choose Guided, so it hovers until the pilot chooses again."""
+    flight = over_mavlink("ardupilot").armed("LOITER")
+    flight.velocity = (2.0, 0.0)
+    flight.pass_time(2.0)
+    turn, flight.autopilot.turn = flight.autopilot.turn, lambda: None
+    flight.pass_time(3.0)
+    flight.autopilot.pilot_sets_mode("GUIDED")
+    flight.autopilot.turn = turn
+    flight.autopilot._beat = flight.clock.now
+    flight.pass_time(2.0)
+    assert flight.bridge.mode == Mode("GUIDED", armed=True)
+    assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    for mode in ("LOITER", "GUIDED"):
+        flight.autopilot.pilot_sets_mode(mode)
+        flight.pass_time(1.0)
+    assert flight.autopilot.velocity[1] == pytest.approx(2.0)
+    flight.close()
+
+
 def test_a_vehicle_that_is_already_in_guided_waits_for_its_pilot():
     """A node that comes to a vehicle in flight does not take it over without an act of the pilot."""
     flight = over_mavlink("ardupilot")
