@@ -42,7 +42,7 @@ def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
         asked = partial(_asked_for_runs, fleet)
         states, failed = everywhere(ways, lambda link: _state(link, "status", {"learners": asked(link.name)}))
         require_one_run(fleet, states, failed)
-        again = starting(fleet, {str(name) for state in states.values() for name in state.get("over", [])})
+        again = starting(fleet, {name for state in states.values() for name in state["over"]})
         states, failed = everywhere(ways, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
     return {name: states[name] for name in fleet.hosts if name in states}, failed
 
@@ -197,6 +197,7 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
     state = link.call(verb, request)
     processes, alarms, members = state.get("processes"), state.get("alarms"), state.setdefault("members", {})
+    over = state.setdefault("over", [])
     if not (
         type(state.get("keeper")) is int
         and isinstance(alarms, list)
@@ -204,6 +205,8 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
         and state.get("holds") in HOLDINGS
         and isinstance(members, dict)
         and all(what in HOLDINGS for what in members.values())
+        and isinstance(over, list)
+        and all(isinstance(name, str) for name in over)
         and isinstance(processes, dict)
         and all(isinstance(process, dict) and _is_process(process) for process in processes.values())
     ):

@@ -164,22 +164,33 @@ def test_no_link_in_the_target_is_followed(tmp_path):
     assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("learner.jsonl", "mine")]
 
 
+STATE = {"keeper": 1, "processes": {}, "alarms": [], "holds": "run", "members": {"member-0": "run"}, "over": ["x"]}
+
+
 @pytest.mark.parametrize(
-    "answer",
+    "change",
     [
-        {},
-        {"keeper": 1, "processes": [], "alarms": []},
-        {"keeper": 1, "processes": {"a": 1}, "alarms": []},
-        {"keeper": 1, "processes": {"a": {"state": 3, "pid": 1, "deaths": 0, "since": 0}}, "alarms": []},
-        {"keeper": 1, "processes": {"a": {"state": "x", "pid": "1", "deaths": 0, "since": 0}}, "alarms": []},
-        {"keeper": 1, "processes": {}, "alarms": [1]},
+        {"keeper": "1"},
+        {"processes": []},
+        {"processes": {"a": 1}},
+        {"processes": {"a": {"state": 3, "pid": 1, "deaths": 0, "since": 0}}},
+        {"processes": {"a": {"state": "x", "pid": "1", "deaths": 0, "since": 0}}},
+        {"alarms": [1]},
+        {"holds": "much"},
+        {"members": []},
+        {"members": {"member-0": ["run"]}},
+        {"over": 5},
+        {"over": [1]},
     ],
 )
-def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, answer):
+def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, change):
     """The state of such a host is unknown, in one sentence, and the command goes on."""
-    monkeypatch.setattr(Link, "call", lambda link, verb, request, seconds=0.0: answer)
-    states, failed = operations.status(one_host(tmp_path))
-    assert (states, failed) == ({}, {"one": "one: its answer is not the state of a host."})
+    answers = iter([dict(STATE), STATE | change, {}])
+    monkeypatch.setattr(Link, "call", lambda link, verb, request, seconds=0.0: next(answers))
+    assert operations.status(one_host(tmp_path)) == ({"one": STATE}, {})
+    for _ in range(2):
+        states, failed = operations.status(one_host(tmp_path))
+        assert (states, failed) == ({}, {"one": "one: its answer is not the state of a host."})
 
 
 def test_what_a_host_reports_commands_no_terminal(tmp_path, monkeypatch, capsys):
