@@ -4,11 +4,15 @@
 
 The state decides all of these weights: one perceptron, with two hidden layers as all networks here, has them as its
 outputs. Rashid et al. take a network of its own for each; that the weights are of the state alone, and absolute, is
-theirs.
+theirs. Two things are ours, because the slope dQ/dq is a product of two weights that both grow with the state:
+
+- The perceptron sees the state normalised (Ba et al., 2016, Layer normalization, without gain and bias), so that its
+  numbers' size does not matter.
+- It begins with biases that make Q about the sum of the agents' values, as in VDN: sum_m |w2| |W1| = 1 for each agent.
 """
 
 from torch import Tensor
-from torch.nn.functional import elu
+from torch.nn.functional import elu, layer_norm
 
 from eia_sec.common.config import QmixConfig
 from eia_sec.common.seeds import stream
@@ -16,8 +20,8 @@ from eia_sec.common.team import TeamSpec
 from eia_sec.learner.networks.stacks import Shape, Stacks
 from eia_sec.learner.off_policy.trained import Trained
 
-LAST_GAIN = 1.0
-"""Gain of the perceptron's last layer, so that the weights are of the size of the state's numbers."""
+LAST_GAIN = 0.1
+"""Gain of the perceptron's last layer, so that the weights begin close to their biases, and not all alike."""
 
 
 class Mixer(Trained):
@@ -38,6 +42,9 @@ class Mixer(Trained):
             [Shape(1, team.observation_size, sum(self._parts), config.batch)], config.hidden, like, cores=cores
         )
         networks.stacks[0].initialise(0, stream(seed, "mixer"), LAST_GAIN)
+        w1, _, w2, _ = networks.stacks[0].layers[-1].split(self._parts, dim=-1)
+        for weights in (w1, w2):
+            weights.fill_(self._width**-0.5)
         super().__init__(networks, config.critic_rate, config.gradient_clip, target=True)
         self._state = like.new_zeros(1, config.batch, team.observation_size)
 
@@ -50,7 +57,7 @@ class Mixer(Trained):
         return self._mixed(self.target, q, state)
 
     def _mixed(self, networks: Stacks, q: Tensor, state: Tensor) -> Tensor:
-        self._state[0].copy_(state)  # the networks read from one place
+        self._state[0].copy_(layer_norm(state, state.shape[1:]))  # the networks read from one place
         weights: Tensor = networks([self._state])
         w1, b1, w2, b2 = weights.view(len(state), -1).split(self._parts, dim=1)
         w1 = w1.view(len(state), self._width, -1).abs()

@@ -78,7 +78,8 @@ class Loop:
         if mixer is None:
             return values.sum()
         m, n = self.config.mixing_width, self.team.agents
-        w1, b1, w2, b2 = mixer(state).split([m * n, m, m, 1])
+        normal = (state - state.mean()) / (state.var(unbiased=False) + 1e-5).sqrt()
+        w1, b1, w2, b2 = mixer(normal).split([m * n, m, m, 1])
         hidden = elu(w1.abs().view(m, n) @ values + b1)
         return w2.abs() @ hidden + b2[0]
 
@@ -181,6 +182,21 @@ def test_the_teams_value_rises_with_every_agents():
         assert (q.grad >= 0.0).all()
         assert (q.grad > 0.0).any(dim=1).all()
         assert (q.grad.std(dim=1) > 1e-3).all()
+
+
+@pytest.mark.parametrize("width", [8, 32])
+def test_the_mixture_begins_like_the_sum_in_states_of_any_size(width):
+    """By how much the team's value rises with an agent's is about 1, where the states' numbers are small and large."""
+    config = variant(QMIX, "qmix", batch=64, mixing_width=width)
+    mixer = Mixer(config, CHOOSERS, 0, torch.empty(0, dtype=torch.float64), cores=0)
+    random = torch.Generator().manual_seed(0)
+    states = torch.randn(64, CHOOSERS.observation_size, dtype=torch.float64, generator=random)
+    for scale in (0.1, 1.0, 100.0):
+        q = torch.zeros(CHOOSERS.agents, 64, dtype=torch.float64, requires_grad=True)
+        mixer(q, scale * states).sum().backward()
+        assert q.grad.min() > 0.3
+        assert q.grad.max() < 3.0
+        assert q.grad.mean(dim=1).numpy() == pytest.approx(1.0, abs=0.5)
 
 
 def test_the_agents_best_options_are_the_teams():
