@@ -62,9 +62,12 @@ def silence(endpoint: Endpoint, lane: Lane) -> str:
     """Return one sentence on a listener that did not answer in time."""
     where = endpoint.locator(lane)
     with contextlib.suppress(OSError), _dial(endpoint, lane):
-        if endpoint.credentials is not None:
-            return f"{where} accepts connections but answers no TLS handshake: it hangs, or listens without TLS."
-        return f"{where} accepts connections but opens no session: it hangs, or has as many as it can."
+        causes = (
+            "it hangs, has as many as it can, or listens without TLS"
+            if endpoint.credentials
+            else "it hangs, or has as many as it can"
+        )
+        return f"{where} accepts connections but opens no session: {causes}."
     return f"nobody answers at {where}."
 
 

@@ -68,12 +68,16 @@ class MavlinkAutopilot:
         self._answers = False
 
     def read(self) -> list[Position | Mode]:
-        """Return what has come, the oldest first; send a heartbeat, or a request for positions, that is due."""
+        """Return what has come, the oldest first; send a heartbeat, or a request for positions, that is due.
+
+        Raises:
+            EndpointError: the connection broke, as a serial line does that is unplugged.
+        """
         now = self._monotonic()
         wanted = "GLOBAL_POSITION_INT" if self._options.local is None else "LOCAL_POSITION_NED"
         found: list[Position | Mode] = []
         for _ in range(MOST_MESSAGES):
-            message = self._wire.recv_msg()
+            message = self._next()
             if message is None:
                 break
             if (message.get_srcSystem(), message.get_srcComponent()) != (self._options.system, AUTOPILOT):
@@ -115,6 +119,15 @@ class MavlinkAutopilot:
     def close(self) -> None:
         """Close the connection to the autopilot."""
         self._wire.close()
+
+    def _next(self) -> Any:
+        """Return the next message, or None if none waits."""
+        try:
+            return self._wire.recv_msg()
+        except OSError as error:
+            raise EndpointError(
+                f"the connection to the autopilot at {self._options.autopilot!r} broke: {error}."
+            ) from error
 
     def _mode(self, message: Any) -> Mode:
         from pymavlink import mavutil  # noqa: PLC0415 - an extra that few users need

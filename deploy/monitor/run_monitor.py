@@ -67,7 +67,6 @@ class RunMonitor:
         self._rewards: dict[str, deque[float]] = {}
         self._others: dict[str, deque[float]] = {}
         self._noise_free: deque[float] = deque(maxlen=HISTORY)
-        self._evaluated = 0
         self._malformed = self._turned_away = 0
 
     def update(self) -> None:
@@ -117,11 +116,11 @@ class RunMonitor:
 
     def _take(self, name: tuple[str, str], sender: Envelope, message: MetricMessage, now: float) -> None:
         seen = self._of_name(name)
+        before, _ = noise_free_of(seen.values)
         seen.follow(name[0], message, sender.version, now)
         if name[0] == "elite":
             number, reward = noise_free_of(seen.values)
-            if number not in (0, self._evaluated):
-                self._evaluated = number
+            if number not in (0, before):
                 self._noise_free.append(reward)
         if name[0] == LEARNER and seen.values.get("curves"):
             curves = seen.values["curves"]

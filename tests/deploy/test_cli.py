@@ -317,6 +317,7 @@ NOBODY = ["--connect", "tcp/127.0.0.1:9", "--patience", "2.6"]
         ["alive", "rollout", "a", *NOBODY],
         ["elite", *NOBODY],
         ["simulator", *NOBODY],
+        ["bridge", "mavlink", "--vehicle", "uav-7=monitoring_0", *NOBODY],
         ["fly", "--policy", "trained:eia-sec", *NOBODY],
     ],
     ids=lambda arguments: arguments[0],

@@ -23,6 +23,7 @@ from eia_sec.deploy.flight.bridge import Autopilot, Bridge
 from eia_sec.deploy.flight.mavlink import MavlinkAutopilot, MavlinkOptions
 from eia_sec.deploy.flight.px4 import Px4Autopilot
 from eia_sec.deploy.flight.vehicle import HEIGHTS, VehicleLink
+from eia_sec.deploy.listener import connected
 from eia_sec.deploy.options import parse
 
 WAITING: Final = 256
@@ -99,7 +100,12 @@ def command(arguments: Sequence[str]) -> int:
         within(1, 255, system=options.system)
         positive(baud=options.baud)
     else:
-        Endpoint.parse(options.autopilot).require_private(options.insecure)
+        listens = Endpoint.parse(options.autopilot)
+        if not (listens.is_loopback or options.insecure):
+            raise UsageError(
+                f"whoever reaches {listens} before PX4 does can pretend to be it, and PX4's Zenoh has no certificate; "
+                "give the bridge an address of this machine alone, or of a cable of its own with --insecure."
+            )
     ((vehicle, agent),) = vehicles_of([options.vehicle]).items()
     endpoint = Endpoint.parse(options.connect, options.tls)
     if endpoint.credentials is not None:
@@ -107,7 +113,7 @@ def command(arguments: Sequence[str]) -> int:
     stop = StopSignal()
     stop.install()
     with ExitStack() as opened:
-        bus = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
+        bus = opened.enter_context(connected(endpoint, options.patience, lambda: not stop))
         link = VehicleLink(bus, options.run, vehicle, agent, options.fastest, heights=options.heights)
         bridge = Bridge(link, _autopilot(options, opened))
         opened.callback(bridge.close)

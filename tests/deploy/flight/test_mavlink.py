@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from eia_sec.common.errors import EndpointError
 from eia_sec.deploy.flight.bridge import STOP_SECONDS, Mode
 from eia_sec.deploy.flight.mavlink import MASK
 from eia_sec.rollout.farm_files.projection import TangentPlane
@@ -138,6 +139,19 @@ def test_ardupilot_is_asked_for_positions_and_flies_in_guided():
     flight.node = ""
     flight.pass_time(STOP_SECONDS + 4.0)
     assert flight.autopilot.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    flight.close()
+
+
+def test_a_line_that_breaks_is_one_sentence(monkeypatch):
+    """A serial line that is unplugged ends the bridge, and the autopilot's time-out acts."""
+    flight = over_mavlink().armed()
+
+    def unplugged():
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(flight.way._wire, "recv_msg", unplugged)
+    with pytest.raises(EndpointError, match=r"the connection to the autopilot at .* broke: .*Input/output error"):
+        flight.pass_time(PERIOD)
     flight.close()
 
 

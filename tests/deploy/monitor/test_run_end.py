@@ -56,20 +56,26 @@ def test_a_resumed_learner_waits_for_a_share_of_its_own_time():
 
 
 def test_each_evaluation_of_the_coordinator_is_one_point():
-    """Reports come each second and evaluations each minute; one that scores as before is a point too."""
+    """Reports come each second and evaluations each minute; one that scores as before is a point too.
+
+    A coordinator that has lost the lead goes on reporting its last one.
+    """
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "control") as bus:
         monitor = RunMonitor(bus, "r")
-        elite = Presence(bus, "r", "elite", "coordinator", 1)
-        points = [(1, 700.0), (1, 700.0), (2, 815.0), (3, 815.0), (3, 815.0)]
-        for events, (number, reward) in enumerate(points, 1):
+        first, second = (Presence(bus, "r", "elite", name, 1) for name in ("coordinator", "spare"))
+        points = [(first, 1, 700.0), (first, 1, 700.0), (first, 2, 815.0), (first, 3, 815.0), (first, 3, 815.0)]
+        points += [(second, 1, 850.0), (first, 3, 815.0), (second, 1, 850.0), (second, 2, 860.0)]
+        for events, (elite, number, reward) in enumerate(points, 1):
             values = {"next_episode": events, "noise_free": {"number": number, "reward": reward}}
 
-            def seen(values=values):
+            def seen(elite=elite, values=values):
                 elite.report(values)
                 monitor.update()
-                return monitor.snapshot().imitation.next_episode == values["next_episode"]
+                return values["next_episode"] in {
+                    report.values.get("next_episode") for report in monitor._reports.values()
+                }
 
             until(seen, "the coordinator")
-        assert monitor.snapshot().noise_free.values == (700.0, 815.0, 815.0)
-        assert monitor.snapshot().noise_free.latest == 815.0
+        assert monitor.snapshot().noise_free.values == (700.0, 815.0, 815.0, 850.0, 860.0)
+        assert monitor.snapshot().noise_free.latest == 860.0
