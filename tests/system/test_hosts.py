@@ -49,7 +49,7 @@ def test_a_long_cut_is_caught_up(tmp_path):
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_they_learn(tmp_path):
-    """The quick preset, trained on six hosts, ends above a policy that does not move, on farms that it never saw."""
+    """The quick preset, trained on six hosts, ends far above who does not move or moves at random, on unseen farms."""
     with laboratory(tmp_path, len(ROLES), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
@@ -58,4 +58,4 @@ def test_they_learn(tmp_path):
         fleet.until(lambda: fleet.state("learner.learner") == "finished", "the end", 3000.0)
         check(finish(fleet))
         rewards = evaluated(fleet, "1000:1010")
-    assert rewards["trained"] > rewards["static"] > rewards["random"]
+    assert rewards["trained"] > 500.0 > max(rewards["static"], rewards["random"])
