@@ -33,7 +33,7 @@ from eia_sec.common.errors import EiaSecError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.process import Presence
 from eia_sec.common.protocol import keys
-from eia_sec.common.protocol.messages import ProgressMessage
+from eia_sec.common.protocol.messages import MetricMessage, ProgressMessage
 from eia_sec.common.transport.bus import Bus, Subscription
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.local.threads import thread_environment
@@ -130,7 +130,7 @@ def measured(workers: int, without: tuple[str, ...]) -> dict[str, Any]:
         began = time.monotonic()
         time.sleep(STEADY_SECONDS)
         seconds = time.monotonic() - began
-        heard = sum(1 for _ in metrics.drain())
+        heard, lost = _heard(metrics)
         used_by = [(_seconds(one) - then) / seconds for one, then in zip((router, learner), before, strict=True)]
         process = psutil.Process(router.pid)
         descriptors, memory = process.num_fds(), process.memory_info().rss
@@ -143,7 +143,8 @@ def measured(workers: int, without: tuple[str, ...]) -> dict[str, Any]:
         "router_join_cpu_seconds": round(router_joining, 2),
         "router_cores": round(used_by[0], 3),
         "learner_cores": round(used_by[1], 3),
-        "metrics_heard": round(heard / (workers * seconds / REPORT_SECONDS), 3),
+        "metrics_rate": round(heard / (workers * seconds / REPORT_SECONDS), 3),
+        "metrics_lost": round(lost / max(1, heard + lost), 3),
         "router_descriptors": descriptors,
         "router_megabytes": round(memory / 1e6),
         "parameters_seconds": {
@@ -165,6 +166,15 @@ def _joined(tokens: Subscription, workers: int) -> float:
             raise EiaSecError(f"{len(alive)} of {workers} ghost workers have joined in {PATIENCE:.0f} s.")
         time.sleep(0.02)
     return time.monotonic() - first
+
+
+def _heard(metrics: Subscription) -> tuple[int, int]:
+    """Return how many reports have come, and how many are missing by the gaps in their numbers."""
+    counters: dict[str, list[int]] = {}
+    for sample in metrics.drain():
+        counters.setdefault(sample.key, []).append(MetricMessage.decode(sample.payload).counter)
+    heard = sum(map(len, counters.values()))
+    return heard, sum(max(found) - min(found) + 1 for found in counters.values()) - heard
 
 
 @contextmanager
