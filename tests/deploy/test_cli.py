@@ -223,6 +223,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         "record": "--out",
         "benchmark": "--algorithms",
         "measure": "--job",
+        "bridge": "px4",
     }
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out

@@ -14,7 +14,7 @@ from prometheus_client.registry import CollectorRegistry
 from eia_sec.common.errors import EndpointError, UsageError
 from eia_sec.deploy.commands.monitoring import monitor
 from eia_sec.deploy.monitor.openmetrics import MOST_REQUESTS, STATES, OpenMetricsServer, RunCollector
-from eia_sec.deploy.monitor.snapshot import Membership, RoundRow, Snapshot
+from eia_sec.deploy.monitor.snapshot import Membership, RoundRow, Series, Snapshot
 from tests.deploy.monitor.test_live_view import SNAPSHOT, worker
 from tests.system.fleet import until
 
@@ -90,12 +90,30 @@ def test_a_member_of_a_population_has_a_round_a_rank_and_hyperparameters():
 
 def test_no_field_of_a_snapshot_is_forgotten():
     """A changed field changes the text, but for those that say the same in another way."""
-    said = {"run", "processes", "reward", "freshness", "ledger", "imitation", "population", "alarms", "state"}
+    said = {
+        "run",
+        "processes",
+        "reward",
+        "noise_free",
+        "freshness",
+        "ledger",
+        "imitation",
+        "population",
+        "alarms",
+        "state",
+    }
     same = {"episodes_total", "steps_total", "steps", "steps_rate", "updates_rate", "others"}
     for field in dataclasses.fields(Snapshot):
         if field.name not in said | same:
             value = 1 + (getattr(SNAPSHOT, field.name) or 0)
             assert text_of(dataclasses.replace(SNAPSHOT, **{field.name: value})) != text_of(SNAPSHOT), field.name
+
+
+def test_the_reward_without_noise_is_a_sample_once_it_is_known():
+    """The newest evaluation's, not a mean over them."""
+    seen = dataclasses.replace(SNAPSHOT, noise_free=Series("without noise", (700.0, 815.0), smoothing=1))
+    assert scraped(text_of(seen))[("eia_sec_reward_without_noise",)] == 815.0
+    assert ("eia_sec_reward_without_noise",) not in scraped(text_of(SNAPSHOT))
 
 
 def test_what_is_not_known_has_no_sample():
