@@ -84,7 +84,7 @@ class AdmissionSource:
 def raise_limit() -> None:
     """Let this process open as many descriptors as its hard limit allows; every member of a run takes two."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != hard:
+    if resource.RLIM_INFINITY not in (soft, hard) and soft < hard:
         with suppress(OSError, ValueError):  # a sandbox may forbid it
             resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 

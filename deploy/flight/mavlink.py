@@ -104,7 +104,7 @@ class MavlinkAutopilot:
     def send(self, velocity: Ned, heading: float) -> None:
         """Send a set-point of velocity and heading."""
         self._wire.mav.set_position_target_local_ned_send(
-            int(1e3 * (self._monotonic() - self._boot)),
+            int(1e3 * (self._monotonic() - self._boot)) % 2**32,  # it begins anew after 49 days
             self._options.system,
             AUTOPILOT,
             LOCAL_NED,

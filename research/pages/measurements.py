@@ -10,6 +10,7 @@ from research.pages.blocks import read_json
 from research.pages.inertia_table import inertia_block, readme_block
 from research.pages.interval_tables import interval_table
 from research.pages.readme_results import default_block, policies_table, results_block
+from research.pages.sessions_table import sessions_block
 
 TRAINING: Final = "research/results/reproduce/training/results.json"
 PRESET: Final = "research/results/reproduce/default/results.json"
@@ -301,6 +302,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
         tasks_block,
     ),
     "served": (("research/results/served.json",), served_block),
+    "sessions": (("research/results/sessions/results.json",), sessions_block),
     "watch": (("research/results/watch.json",), watch_block),
 }
 """For each block: the data that it shows, and the function that writes it."""

@@ -47,7 +47,7 @@ def _on_home_page(block: Block) -> Block:
 PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
     "README.md": _measured("inertia-results", "results", "distribution"),
     "docs/index.md": {name: _on_home_page(partial(measured, name)) for name in ("inertia-results", "results")},
-    "docs/explanation/capacity.md": _measured("capacity"),
+    "docs/explanation/capacity.md": _measured("capacity", "sessions"),
     "docs/explanation/method.md": _measured("forms"),
     "docs/explanation/reliability.md": {
         "faults": reliability_table.faults,

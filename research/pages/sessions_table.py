@@ -19,13 +19,14 @@ HEADINGS = (
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
-    origin = f"`{data['command']}`, commit {data['commit']}, {data['cores']} cores"
-    return "\n".join(["# Many workers at one router", "", sessions_block(data), "", f"Made by {origin}.", ""])
+    return "\n".join(["# Many workers at one router", "", sessions_block(data), ""])
 
 
 def sessions_block(data: dict[str, Any]) -> str:
-    """Return a row for each number of workers."""
-    return table(HEADINGS, [_row(result) for result in data["results"] if not result["without"]])
+    """Return a row for each number of workers, and where the numbers come from."""
+    rows = [_row(result) for result in data["results"] if not result["without"]]
+    made = f"Made by `{data['command']}`, commit {data['commit']}, {data['cores']} cores."
+    return "\n".join([table(HEADINGS, rows), "", made])
 
 
 def _row(result: dict[str, Any]) -> list[str]:
