@@ -148,7 +148,7 @@ def test_the_drawn_flights_exercise_what_they_test():
     assert min(shares.values()) > 0.05, shares
 
 
-@pytest.mark.parametrize("section", ["world", "energy", "relay", "observation", "dynamics"])
+@pytest.mark.parametrize("section", ["world", "relay", "observation", "dynamics"])
 def test_switches_are_found_by_their_annotations(section):
     """Every section that has switches shows them to the strategy."""
     assert switches(typing.get_type_hints(FarmConfig)[section])
