@@ -73,7 +73,8 @@ class PolicyStore:
         """
         if self.actors is None:
             raise VersionError("no parameters have arrived yet.")
-        return replace(self.actors, flat=tuple(part.copy() for part in flat))
+        fitting = replace(self.actors, flat=flat)  # before anything is copied
+        return replace(fitting, flat=tuple(part.copy() for part in flat))
 
     def offer_imitation(self, event: ImitationEvent, epoch: int) -> bool:
         """Take an imitation event of a learner's epoch; return whether it has now changed the actors.

@@ -196,7 +196,7 @@ def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, 
 def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
     state = link.call(verb, request)
-    processes, alarms, members = state.get("processes"), state.get("alarms"), state.setdefault("members", {})
+    processes, alarms, members = state.get("processes"), state.get("alarms"), state.get("members", {})
     over = state.setdefault("over", [])
     if not (
         type(state.get("keeper")) is int

@@ -20,9 +20,14 @@ def require_one_run(fleet: FleetSpec, states: States, failed: Mapping[str, str])
 
     Raises:
         UsageError: another host holds the run, or the hosts have histories of one that none of them holds.
-        HostError: no reached host holds it, and one was not reached.
+        HostError: no reached host holds it, and one was not reached; or one has a version without populations.
     """
     if fleet.population:
+        if older := [host for host, state in states.items() if "members" not in state]:
+            raise HostError(
+                f"{older[0]} has an older version, which does not say which members of a population it holds; "
+                "nothing was started. Install this version there."
+            )
         for run in fleet.runs:
             _require_one_member(fleet, run, states, failed)
         return

@@ -163,6 +163,13 @@ def test_each_member_of_a_population_starts_where_its_run_is(population, one, tw
         run_holders.require_one_run(population, states, failed)
 
 
+def test_a_host_that_knows_no_populations_starts_no_member(population):
+    """It may hold a member's run and cannot say so; runs alone need no newer version."""
+    states = {"one": {"members": {"member-0": "run", "member-1": "nothing"}}, "two": {"holds": "nothing"}}
+    with pytest.raises(HostError, match="two has an older version"):
+        run_holders.require_one_run(population, states, {})
+
+
 def test_a_host_tells_which_members_it_holds(tmp_path):
     """Those with a run, and those of which it has workers' histories alone."""
     inside = tmp_path / "run" / "members"
