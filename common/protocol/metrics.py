@@ -226,7 +226,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("spooled", "chunks", "chunks held until the learner answers"),
         Metric("simulating_seconds", "s", "time spent simulating"),
         Metric("waiting_seconds", "s", "time spent waiting for room in the spool or for parameters"),
-        Metric("evaluations", "episodes", "episodes of noise-free evaluation for imitation"),
+        Metric("evaluations", "episodes", "noise-free episodes that the coordinator asked for"),
         Metric("epoch", "", "epoch of the learner that its actors came from"),
         Metric("version", "", "parameter version of its actors"),
         Metric("event", "", "imitation events applied to its actors"),
