@@ -62,5 +62,5 @@ class NoiseFreeReward:
                 self._reward = float(found.reward.sum(axis=1).mean())
 
     def report(self) -> dict[str, Any]:
-        """Return the newest evaluation as metrics; nothing before the first."""
-        return {"noise_free": {"reward": self._reward, "number": self._number}} if self._number else {}
+        """Return the newest evaluation as metrics; its number is 0 before the first."""
+        return {"noise_free": {"reward": self._reward, "number": self._number}}
