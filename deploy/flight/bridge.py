@@ -72,7 +72,7 @@ class Autopilot(Protocol):
     """The way to an autopilot, in its own protocol."""
 
     def read(self) -> Sequence[Position | Mode]:
-        """Return what has come since the last call, the oldest first; send what the protocol wants in each period."""
+        """Return what has come since the last call, of each kind the oldest first; send what is due in each period."""
 
     def send(self, velocity: Ned, heading: float) -> None:
         """Send a set-point: a velocity in m/s, and a heading from north, clockwise, in radians."""

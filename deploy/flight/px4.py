@@ -66,7 +66,7 @@ class Px4Autopilot:
         self.refused = 0
 
     def read(self) -> list[Position | Mode]:
-        """Return what has come, the oldest first."""
+        """Return what has come: modes, then positions, the oldest of each first."""
         found: list[Position | Mode] = []
         for status in self._understood(self._statuses):
             mode = MODES.get(status.nav_state, str(status.nav_state))

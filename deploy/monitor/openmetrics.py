@@ -214,13 +214,13 @@ def _of_learning(snapshot: Snapshot) -> Iterator[Metric]:
     yield values
     newest = member.newest[-1] if member and member.newest else None
     for name, unit, meaning, value in (
+        ("reward_without_noise", "", "Mean reward per agent in a small evaluation.", snapshot.noise_free.latest),
         (
             "population_round",
             "",
             "Newest round of the population that it took part in.",
             member.round if member else None,
         ),
-        ("reward_without_noise", "", "Mean reward per agent in a small evaluation.", snapshot.noise_free.latest),
         ("population_rank", "", "Its rank in that round, 1 for the best.", newest.rank if newest else None),
         ("imitation_events", "", "Imitation events applied.", snapshot.imitation.events),
         ("imitation_rate_ratio", "ratio", "Rate vartheta of the next event.", snapshot.imitation.rate),

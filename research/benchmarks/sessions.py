@@ -212,7 +212,7 @@ def _delays(ghosts: "subprocess.Popen[str]") -> np.ndarray[Any, np.dtype[np.floa
 def _learner(arguments: Arguments) -> None:
     """Publish what a learner publishes, until this process is killed."""
     config = preset("inertial")
-    actors = TeamActors.initial(farm_team(config.farm), config.algorithm.hidden, 0, head="categorical")
+    actors = TeamActors.initial(farm_team(config.farm), config.algorithm.hidden, 0, head="gaussian")
     parameters = bytes(sum(weights.nbytes for weights in actors.flat))
     with Bus.connect(Endpoint.parse(arguments.endpoint), "control", wait=60.0) as bus:
         presence = Presence(bus, RUN, "learner", "learner", 1)
