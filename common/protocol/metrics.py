@@ -6,6 +6,7 @@ holds the table against what the processes of a real run report, and `docs/refer
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final
 
 
@@ -317,13 +318,18 @@ def scalars(values: Mapping[str, Any], types: Sequence[str]) -> dict[str, float]
     """
     found: dict[str, float] = {}
     for name, value in flattened(values).items():
-        parts = name.split("/")
-        metric = next((m for m in (*METRICS["learner"], *EVALUATION) if _covers(m.name.split("/"), parts)), None)
+        metric = _of_learner(name)
         if metric is not None and metric.scalar:
-            own = "/".join(parts[metric.name.count("/") :])
+            own = "/".join(name.split("/")[metric.name.count("/") :])
             scalar = metric.scalar.removesuffix("_*") if len(types) == 1 else metric.scalar
             found[scalar.replace("*", own)] = value
     return found
+
+
+@lru_cache(maxsize=4096)  # every report asks for the same names again
+def _of_learner(name: str) -> Metric | None:
+    parts = name.split("/")
+    return next((m for m in (*METRICS["learner"], *EVALUATION) if _covers(m.name.split("/"), parts)), None)
 
 
 def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
