@@ -1,12 +1,13 @@
 """A hook of MkDocs: what the site takes from outside docs/.
 
 The pages and pictures of research/results are below results/, README and the pages beside it below project/; notebooks
-of docs/ become pages.
+of docs/ become pages. Where the checkout's origin is on the web, pages link to it, and to where they can be edited.
 """
 
 import json
 import posixpath
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Final
@@ -18,13 +19,32 @@ from mkdocs.structure.pages import Page
 SHOWN: Final = {".md", ".png", ".svg", ".json"}
 PROJECT: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "LICENSE")
 LINK: Final = re.compile(r"(\]\()([^)#\s:]+)(?=[)#])")
+ORIGIN: Final = re.compile(r"(?:https://(?:[^@/]+@)?|ssh://git@|git@)([\w.-]+)[/:]([\w./-]+?)(?:\.git)?/?")
+"""Host and path of a repository, in the forms that Git clones from."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the version at the foot of every page."""
+    """Put the version at the foot of every page, and a link to the repository at its head."""
     project = tomllib.loads((_root(config) / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     config.copyright = f"{config.site_name} {project['version']}, {project['license']}"
+    config.repo_url = repository_url(_origin(_root(config)))
+    if config.repo_url:
+        config.repo_name = config.repo_url.split("/", 3)[3]
     return config
+
+
+def repository_url(origin: str) -> str | None:
+    """Return the web page of the repository at a Git address; None of one that is not on the web."""
+    found = ORIGIN.fullmatch(origin)
+    return f"https://{found[1]}/{found[2]}" if found else None
+
+
+def _origin(root: Path) -> str:
+    command = ["git", "-C", str(root), "config", "--get", "remote.origin.url"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:  # an archive of the sources, on a machine without Git
+        return ""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -39,6 +59,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         place = path.relative_to(config.docs_dir).with_suffix(".md").as_posix()
         files.append(File.generated(config, place, content=_notebook_page(path)))
     return files
+
+
+def on_pre_page(page: Page, config: MkDocsConfig, files: Files) -> Page:
+    """Link a page to its source in the repository, where it can be edited."""
+    source = _in_repository(page.file.src_uri)
+    notebook = re.sub(r"\.md$", ".ipynb", source)
+    if (_root(config) / notebook).exists():
+        source = notebook
+    page.edit_url = f"{config.repo_url}/edit/main/{source}" if config.repo_url else None
+    return page
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

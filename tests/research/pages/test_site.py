@@ -12,11 +12,14 @@ from urllib.parse import unquote
 
 import pytest
 
+from research.pages.site import repository_url
+
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted(
     path.relative_to(ROOT).as_posix()
     for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "research" / "results").rglob("*.md")]
 )
+ORIGIN = "git@example.org:robots/eia-sec.git"
 CODE_FOLDERS = ("common", "rollout", "learner", "elite", "deploy", "research", "tests", "docs")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
@@ -97,7 +100,9 @@ def site(tmp_path_factory):
     """The site, built strictly: broken links, missing pages and unknown modules are errors."""
     folder = tmp_path_factory.mktemp("site").resolve()
     line = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    origin = {f"GIT_CONFIG_{name}_0": value for name, value in (("KEY", "remote.origin.url"), ("VALUE", ORIGIN))}
+    environment = os.environ | origin | {"GIT_CONFIG_COUNT": "1"}
+    done = subprocess.run(line, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
@@ -112,6 +117,32 @@ def test_every_link_of_the_site_leads_somewhere(site):
     """Those to README, to notebooks and to results, too; strict builds do not look outside docs/."""
     assert (site / "project" / "index.html").is_file()
     assert broken_on_site(site) == {}
+
+
+def test_every_page_leads_to_its_source(site):
+    """Where the origin is on the web, each page has a link to the file of the repository that it is made from."""
+    edited = "https://example.org/robots/eia-sec/edit/main/"
+    pages = [page.read_text(encoding="utf-8") for page in site.rglob("*.html") if page.name != "404.html"]
+    sources = [re.findall(rf'href="{edited}([^"]+)"', page) for page in pages]
+    assert len(pages) > len(PAGES) // 2
+    assert all(len(found) == 1 and (ROOT / found[0]).is_file() for found in sources)
+
+
+@pytest.mark.parametrize(
+    ("origin", "page"),
+    [
+        ("https://example.org/robots/eia-sec.git", "https://example.org/robots/eia-sec"),
+        ("https://token@example.org/robots/eia-sec", "https://example.org/robots/eia-sec"),
+        ("ssh://git@example.org/robots/eia-sec.git", "https://example.org/robots/eia-sec"),
+        (ORIGIN, "https://example.org/robots/eia-sec"),
+        ("/srv/git/eia-sec.git", None),
+        ("file:///srv/git/eia-sec", None),
+        ("", None),
+    ],
+)
+def test_an_origin_on_the_web_has_a_page(origin, page):
+    """No secret of an address gets into the site."""
+    assert repository_url(origin) == page
 
 
 def test_every_setting_is_found_by_itself(site):
