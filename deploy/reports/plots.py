@@ -14,7 +14,6 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.image import AxesImage
-from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
@@ -41,10 +40,6 @@ OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "
 LINES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKS: Final = ("o", "s", "^", "D", "v", "P")
 """Of curves and points, so that they are told apart without colours, too."""
-PIECE_STEPS: Final = 25
-"""Steps of a fading path that share one opacity."""
-OLDEST: Final = 0.1
-"""Opacity of a fading path where it begins."""
 COMPARISON_DPI: Final = 220
 """Higher than DPI, because maps side by side are small."""
 SMALL: Final = 0.7
@@ -52,11 +47,10 @@ SMALL: Final = 0.7
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
-FADING: Final = "path: faint at first, full at the end"
 SCALE_LABELS: Final = ("AoI of a sensor, end", "VDF of a plot, end")
 LENGTH: Final = EpisodeMetric("steps", "steps of an episode", "length of an episode", "steps")
 LAST_STEPS: Final = 100
-"""Steps of the paths on a single map; more would cover it."""
+"""Steps of the paths on a map; more would cover it."""
 
 Numbers = NDArray[np.float64]
 
@@ -140,14 +134,14 @@ def trajectories_figure(trajectory: Trajectory, title: str = "") -> Figure:
     figure.suptitle(title, fontsize=10)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
     axes = figure.add_subplot(grid[:, 0])
-    scales = _map(axes, trajectory, fading=False)
+    scales = _map(axes, trajectory)
     axes.set_title(_headline(trajectory), loc="left", fontsize=9)
     _key(figure, grid, trajectory, scales)
     return figure
 
 
 def save_comparison(trajectories: Mapping[str, Trajectory], path: Path) -> None:
-    """Draw the same episode under several policies side by side: final state, and paths that fade with age.
+    """Draw the same episode under several policies side by side: final state, and the paths of the last steps.
 
     Args:
         trajectories: recorded episodes of one farm by the policies' names.
@@ -163,17 +157,14 @@ def comparison_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
     grid = figure.add_gridspec(2, 2 * len(flown), height_ratios=(1.0, 0.03))
     for column, (name, trajectory) in enumerate(trajectories.items()):
         axes = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
-        scales = _map(axes, trajectory, fading=True, size=SMALL)
+        scales = _map(axes, trajectory, SMALL)
         # A title of two lines ends before the scale bar, also above a small map.
         axes.set_title(f"{name}, {_headline(trajectory).replace(': ', chr(10), 1)}", loc="left", fontsize=9, pad=12)
     halves = (grid[1, : len(flown)], grid[1, len(flown) :])
     for artist, label, half in zip(scales, SCALE_LABELS, halves, strict=True):
         figure.colorbar(artist, cax=figure.add_subplot(half), orientation="horizontal", label=label)
-    handles: list[Any] = [*_legend(flown[0], "start of a UAV"), _fading()]
     figure.legend(
-        handles,
-        [*(handle.get_label() for handle in handles[:-1]), FADING],
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
+        handles=_legend(flown[0]),
         loc="outside lower center",
         ncols=3,
         frameon=False,
@@ -182,7 +173,7 @@ def comparison_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
     return figure
 
 
-def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0) -> tuple[PathCollection, AxesImage]:
+def _map(axes: Axes, trajectory: Trajectory, size: float = 1.0) -> tuple[PathCollection, AxesImage]:
     """Draw plots, sensors and paths with markers of a given size; return the artists with the AoI and VDF scales."""
     world = trajectory.config.world
     plots = axes.imshow(
@@ -199,7 +190,7 @@ def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0)
         series = wind_series(trajectory.config, trajectory.farm, trajectory.episode)
         WindArrow(axes, max(world.speed_x_max, world.speed_y_max)).update(series.mean(axis=0))
     sensors = _sensors(axes, trajectory, size)
-    _paths(axes, trajectory, fading, size)
+    _paths(axes, trajectory, size)
     margin = 0.025 * max(world.field_x, world.field_y)
     axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
     axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
@@ -212,7 +203,7 @@ def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[P
     key = figure.add_subplot(grid[0, -1])
     key.set_axis_off()
     key.legend(
-        handles=_legend(trajectory, f"UAV {_drawn(trajectory)} steps before"),
+        handles=_legend(trajectory),
         loc="upper left",
         borderaxespad=0.0,
         frameon=False,
@@ -293,7 +284,7 @@ def _sensors(axes: Axes, trajectory: Trajectory, size: float) -> PathCollection:
     return artist
 
 
-def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> None:
+def _paths(axes: Axes, trajectory: Trajectory, size: float) -> None:
     """Draw every UAV's path with start and end, and the final links between relays and the UAVs they serve."""
     ends = trajectory.position[-1]
     relays = trajectory.config.world.communication_uavs
@@ -302,14 +293,8 @@ def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> Non
             axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
     for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
         for agent in range(agents.start, agents.stop):
-            path, colour = trajectory.position[:, agent], COLOURS[name]
-            path = path if fading else path[-1 - _drawn(trajectory) :]
-            piece = PIECE_STEPS if fading else len(path)
-            for first in range(0, len(path), piece):
-                share = (first + piece) / len(path) if fading else 1.0
-                alpha = OLDEST + (0.9 - OLDEST) * min(share, 1.0) ** 2 if fading else 0.8
-                shown = path[first : first + piece + 1].T
-                axes.plot(*shown, color=colour, linestyle=STYLES[name], linewidth=1.1 * size, alpha=alpha, zorder=3)
+            path, colour = trajectory.position[-1 - _drawn(trajectory) :, agent], COLOURS[name]
+            axes.plot(*path.T, color=colour, linestyle=STYLES[name], linewidth=1.1 * size, alpha=0.8, zorder=3)
             axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6 * size, zorder=5)
             axes.plot(
                 *path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10 * size, zorder=6
@@ -333,18 +318,13 @@ def _headline(trajectory: Trajectory) -> str:
     )
 
 
-def _fading() -> tuple[Line2D, ...]:
-    """Return the pieces of a line that fades in, like a path."""
-    return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
-
-
 def _drawn(trajectory: Trajectory) -> int:
-    """Return how many steps of the paths a single map shows."""
+    """Return how many steps of the paths a map shows."""
     return min(LAST_STEPS, len(trajectory.position) - 1)
 
 
-def _legend(trajectory: Trajectory, start: str) -> list[Artist]:
-    """Return the legend's entries; `start` says where paths begin."""
+def _legend(trajectory: Trajectory) -> list[Artist]:
+    """Return the legend's entries."""
     handles: list[Artist] = [
         Line2D(
             [],
@@ -358,6 +338,7 @@ def _legend(trajectory: Trajectory, start: str) -> list[Artist]:
         )
         for name in TYPES
     ]
+    start = f"UAV {_drawn(trajectory)} steps before"
     handles.append(Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label=start))
     handles.append(Line2D([], [], color="0.15", linestyle=":", label="relay link, end"))
     for kind, cycle in enumerate(trajectory.config.world.sensor_cycles):

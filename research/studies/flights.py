@@ -1,6 +1,7 @@
 """The `trajectories` study: where the trained UAVs fly on unseen farms, and what they collect there."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -8,9 +9,11 @@ import numpy as np
 from eia_sec.common.config import FarmConfig
 from eia_sec.common.farm import COLLECTION, MONITORING, farm_team
 from eia_sec.common.policy_file import load_policy
+from eia_sec.common.team import Float32
 from eia_sec.deploy.reports.intervals import Numbers
 from eia_sec.rollout.evaluation import Trajectory, record
 from eia_sec.rollout.policies import ActorPolicy, Policy, policy_of
+from eia_sec.rollout.sim.batch import FarmBatch
 from research.studies.analysis.summary import choice_summary, reference_summary
 from research.studies.bench import Bench
 from research.studies.jobs import POLICY_SUFFIX
@@ -50,6 +53,35 @@ def flight_summary(bench: Bench) -> dict[str, Any]:
             for farm, flown in flights(bench).items()
         },
     }
+
+
+class AlongPaths:
+    """Flies UAVs without inertia, steered by velocities, along paths [T + 1, n, 2], m."""
+
+    def __init__(self, paths: Numbers) -> None:
+        self._paths, self._step = paths, 0
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Begin anew."""
+        self._step = 0
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return the velocities that lead to the next places."""
+        self._step += 1
+        world = farms.config.world
+        reach = np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
+        return np.clip((self._paths[self._step] - farms.position) / reach, -1.0, 1.0).reshape(1, -1).astype(np.float32)
+
+
+def flown_again(config: FarmConfig, farm: int, described: Mapping[str, Any]) -> Trajectory:
+    """Return a flight as the study's results describe it: paths are all that sensors and plots depend on."""
+    steered = replace(config.control, communication="velocity", monitoring="velocity", collection="velocity")
+    paths = np.array(described["paths"])
+    episode = replace(config, world=replace(config.world, steps=len(paths) - 1), control=steered)
+    flown = record(episode, AlongPaths(paths), farm, 0)
+    # Places are rounded, so that who flew along the border may miss it, or bump into it, by centimetres.
+    reward = np.full_like(flown.summary.reward, described["reward"])
+    return replace(flown, summary=replace(flown.summary, reward=reward))
 
 
 def described(trajectory: Trajectory) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from research.studies.bench import Bench
 from research.studies.catalogue import STUDIES
 from research.studies.estimate import Estimator
 from research.studies.jobs import Job
-from research.studies.pages.flight_plots import save_flights
 from research.studies.pages.plots import RESULTS, save_pictures
 from research.studies.pages.tables import SECTIONS, page
 from research.studies.runner import PROGRAM, Runner, packed
@@ -129,25 +128,20 @@ def write(plan: Plan) -> None:
     study, bench = STUDIES[plan.study], plan.bench
     origin = made_by(f"python -m {PROGRAM}", plan.arguments)
     data = {"study": plan.study, "scale": bench.scale.name, **origin, "sizes": sizes(bench), **study.summarise(bench)}
-    save(plan, data, lambda: draw(plan.study, data, bench, plan.folder))
+    save(plan, data)
 
 
-def save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]]) -> None:
+def save(plan: Plan, data: dict[str, Any]) -> None:
     """Write a study's results, pictures and page; raise RunDirError if it cannot."""
     folder = plan.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RESULTS).write_text(json.dumps(data) + "\n", encoding="utf-8")
-        pictures = pictures_of()
+        pictures = save_pictures(data, folder)
         (folder / PAGE).write_text(page(STUDIES[plan.study].title, data, pictures), encoding="utf-8")
     except OSError as error:
         raise RunDirError(f"cannot write into {folder}: {error.strerror}.") from error
     plan.report(f"\n{SECTIONS[plan.study](data)}\nwritten to {folder}: {RESULTS}, {PAGE}, {', '.join(pictures)}")
-
-
-def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[str]:
-    """Draw a study's pictures; return the files' names."""
-    return save_flights(bench, folder) if study == "trajectories" else save_pictures(data, folder)
 
 
 def sizes(bench: Bench) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from eia_sec.deploy.reports.intervals import Numbers
 from eia_sec.deploy.reports.plots import DPI, TEXT, save_comparison
 from eia_sec.rollout.evaluation import Trajectory
 from eia_sec.rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, STYLES
-from research.studies.bench import Bench
-from research.studies.flights import agents_by_type, flights
+from research.studies.flights import agents_by_type, flown_again
 from research.studies.scales import SCALES
 
 BOX: Final = (4.0, 4.0, 3.0)
@@ -24,30 +23,16 @@ UNITS: Final = {MONITORING: "VDF", COLLECTION: "AoI"}
 """What a type collects."""
 
 
-def save_flights(bench: Bench, folder: Path) -> list[str]:
-    """Draw every flight; return the files' names."""
-    names = []
-    for farm, flown in flights(bench).items():
+def save_flights(data: Mapping[str, Any], folder: Path) -> list[str]:
+    """Draw every flight that the study's results hold; return the files' names."""
+    config, names = SCALES[data["scale"]].base().farm, []
+    for farm, held in data["farms"].items():
+        flown = {name: flown_again(config, int(farm), flight) for name, flight in held.items()}
         save_comparison(flown, folder / f"farm-{farm}.png")
-        held = {name: path_of(trajectory) for name, trajectory in flown.items()}
-        space_figure(held, bench.base().farm).savefig(folder / f"farm-{farm}-3d.png", dpi=DPI)
+        space_figure(held, config).savefig(folder / f"farm-{farm}-3d.png", dpi=DPI)
         collected_figure(flown).savefig(folder / f"farm-{farm}-collected.png", dpi=DPI)
         names += [f"farm-{farm}.png", f"farm-{farm}-3d.png", f"farm-{farm}-collected.png"]
     return names
-
-
-def save_paths(data: Mapping[str, Any], folder: Path) -> list[str]:
-    """Draw of the study's results what they hold, the paths in space; return the files' names."""
-    farm, names = SCALES[data["scale"]].base().farm, []
-    for number, flown in data["farms"].items():
-        names.append(f"farm-{number}-3d.png")
-        space_figure(flown, farm).savefig(folder / names[-1], dpi=DPI)
-    return names
-
-
-def path_of(trajectory: Trajectory) -> dict[str, Any]:
-    """Return what `space_figure` needs of a flight, as the study's results keep it."""
-    return {"paths": trajectory.position, "reward": float(np.mean(trajectory.summary.reward))}
 
 
 def space_figure(flown: Mapping[str, Mapping[str, Any]], config: FarmConfig) -> Figure:

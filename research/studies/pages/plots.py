@@ -19,7 +19,7 @@ from research.studies.pages.curve_plots import (
     seeds,
     training_figure,
 )
-from research.studies.pages.flight_plots import save_paths
+from research.studies.pages.flight_plots import save_flights
 
 RESULTS: Final = "results.json"
 """The file in a study's folder that its pictures are made from."""
@@ -38,8 +38,7 @@ CAPTIONS: Final = {
     "times.png": "Time of a decision by size of the team and by method, beside the paper's.",
     "-collected.png": "Units that each UAV has collected; one line for each UAV.",
     "-3d.png": "Paths in space, heights drawn far taller than lengths; marks are the ends of the paths.",
-    ".png": "Paths seen from above, faint at the beginning of the episode and full at its end. Sensors, plots and "
-    "links are as at the end.",
+    ".png": "Paths of the last 100 steps from above. Sensors, plots and links are as at the end.",
 }
 """What stands under a picture, by the end of its name; the first that fits."""
 
@@ -54,8 +53,6 @@ def caption(name: str) -> str:
 def save_pictures(data: Results, folder: Path) -> list[str]:
     """Draw all pictures that the results of a study hold; return the files' names in the order of the page.
 
-    Maps and collected units of `trajectories` need the flights themselves, and stay as they are.
-
     Raises:
         OSError: a picture cannot be written.
     """
@@ -69,7 +66,7 @@ def save_pictures(data: Results, folder: Path) -> list[str]:
         case "inference":
             return save_inference(data, folder)
         case _:
-            return save_paths(data, folder)
+            return save_flights(data, folder)
 
 
 def save_comparison(data: Results, folder: Path) -> list[str]:

@@ -3,14 +3,13 @@
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from eia_sec.common.errors import RunDirError, UsageError
 from research.studies.analysis.summary import DIGITS, reference_summary, times_summary
 from research.studies.bench import Bench
 from research.studies.pages.plots import RESULTS
-from research.studies.reproduce import PAGE, Plan, draw, save, write
+from research.studies.reproduce import Plan, save, write
 from research.studies.scales import FIRST_FARM
 
 Results = dict[str, Any]
@@ -20,8 +19,7 @@ def redraw(plan: Plan) -> None:
     """Write a study's files again without doing any run.
 
     From its records where all are there. Otherwise its results stay what they are, but for what they or the records
-    allow to sum up anew: times, of which results hold every seed's, and policies that learn nothing. Paths cannot be
-    drawn without the policy, so their pictures stay too.
+    allow to sum up anew: times, of which results hold every seed's, and policies that learn nothing.
 
     Raises:
         UsageError: there are neither all records nor results.
@@ -39,8 +37,7 @@ def redraw(plan: Plan) -> None:
         raise RunDirError(f"{path} cannot be read: {error}.") from None
     plan.report(f"{plan.study}: {len(missing)} runs are missing; written again from {path} alone.")
     summed_anew(data, plan.bench)
-    drawn = plan.study != "trajectories"
-    save(plan, data, lambda: draw(plan.study, data, plan.bench, plan.folder) if drawn else _kept(plan.folder))
+    save(plan, data)
 
 
 def summed_anew(data: Results, bench: Bench) -> None:
@@ -74,9 +71,3 @@ def _references(data: Results, bench: Bench) -> None:
     low, high = (found["policies"][name]["reward"] for name in ("random", found["best"]))
     for method in data["methods"].values():
         method["normalised"] = [round((reward - low) / (high - low), DIGITS) for reward in method["reward"]]
-
-
-def _kept(folder: Path) -> list[str]:
-    """Return the names of the pictures in a folder, in the order of its page where they are on it."""
-    text = (folder / PAGE).read_text(encoding="utf-8") if (folder / PAGE).is_file() else ""
-    return sorted((path.name for path in folder.glob("*.png")), key=lambda name: (text.find(f"({name})"), name))

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from eia_sec.deploy.reports import plots
+from research.studies.flights import described, flown_again
 from research.studies.pages import flight_plots
 from research.studies.pages import plots as study_plots
 from research.studies.pages.curve_plots import checks_figure, limits, training_figure
 from research.studies.pages.plots import caption, members_figure, save_pictures
+from research.studies.scales import SCALES
 
 RESULTS = Path(__file__).resolve().parents[3] / "research" / "results" / "reproduce"
 STUDIES = ("training", "ablation", "ensemble", "scalability", "inference", "trajectories", "default")
-NEEDS_FLIGHTS = re.compile(r"farm-\d+(-collected)?\.png")
-"""Pictures of `trajectories` that its results do not hold."""
 
 
 def run(seed, end, final, *, diverged=False, checks=5):
@@ -99,13 +99,23 @@ def test_any_interval_can_be_drawn(data, reward):
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_a_study_is_redrawn_from_its_results_alone(study, tmp_path, monkeypatch):
-    """Every picture on its page is drawn again, but those that need the flights; each has a caption."""
+    """Every picture on its page is drawn again; each has a caption."""
     for module in (plots, flight_plots, study_plots):
         monkeypatch.setattr(module, "DPI", 30)  # what is on them does not depend on it
     names = save_pictures(json.loads((RESULTS / study / "results.json").read_text(encoding="utf-8")), tmp_path)
     assert {path.name for path in tmp_path.glob("*.png")} == set(names)
     page = (RESULTS / study / "README.md").read_text(encoding="utf-8")
-    shown = [name for name in re.findall(r"!\[.*?\]\((.*?)\)", page) if not NEEDS_FLIGHTS.fullmatch(name)]
+    shown = re.findall(r"!\[.*?\]\((.*?)\)", page)
     assert names == shown
     assert all((RESULTS / study / name).is_file() for name in shown)
     assert all(caption(name) for name in names)
+
+
+def test_a_flight_is_flown_again_as_it_was():
+    """Ages and collected units, which depend on all places before, are those that the study found."""
+    data = json.loads((RESULTS / "trajectories" / "results.json").read_text(encoding="utf-8"))
+    (farm, held), *_ = data["farms"].items()
+    for flight in held.values():
+        again = described(flown_again(SCALES[data["scale"]].base().farm, int(farm), flight))
+        names = ("reward", "aoi", "vdf", "collected", "supplied", "visited")
+        assert {name: again[name] for name in names} == {name: flight[name] for name in names}
