@@ -359,7 +359,7 @@ class Population:
             evaluation = Running(member.coordinator.evaluate(number, plan, now, stop, actors))
             asked.append(_Candidate(member, now, actors, evaluation))
         results: list[_Result] = []
-        begun, allowed = monotonic(), math.inf
+        begun, allowed, waits = monotonic(), math.inf, False
         seen = {member.name: begun for member, _ in present}
         while asked:
             yield IDLE_SECONDS
@@ -382,6 +382,9 @@ class Population:
                     member.note_alive()
                     if len(results) == 1:
                         allowed = max(LATE_SECONDS, LATE_FACTOR * (monotonic() - begun))
+            if not (results or waits) and monotonic() - begun > LATE_SECONDS:
+                waits = True
+                log(f"population: round {number} waits for workers: none has scored a member in {LATE_SECONDS:g} s.")
             if monotonic() - begun > allowed:
                 for one in asked:
                     self._leave_out(number, one.member, f"was not scored within {allowed:.0f} s")

@@ -285,6 +285,19 @@ def test_a_round_goes_on_without_who_is_not_scored(trial, monkeypatch, capsys):
     assert set(first.told[-1].scores) == {"member-0", "member-1", "member-2"}
 
 
+def test_a_round_in_which_nobody_is_scored_says_so(trial, monkeypatch, capsys):
+    """Once; it is held when the workers answer again."""
+    monkeypatch.setattr(population, "LATE_SECONDS", 0.3)
+    for member in trial.members:
+        member.episodes, member.hangs = 10, True
+    said, told = "round 1 waits for workers: none has scored a member in 0.3 s.", []
+    trial.until(lambda: told.append(capsys.readouterr().err) or said in "".join(told), "the log")
+    for member in trial.members:
+        member.hangs = False
+    trial.held(1, *trial.members)
+    assert said not in capsys.readouterr().err
+
+
 def test_a_round_that_is_left_with_one_member_is_not_held(monkeypatch, capsys):
     """There is nobody to compare it with; the next round is held with both."""
     monkeypatch.setattr(population, "LATE_SECONDS", 1.0)
