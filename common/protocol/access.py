@@ -66,9 +66,13 @@ class Grant:
         """Whether the keys differ from holder to holder."""
         return NAME in self.variables.values()
 
-    def expressions(self, name: str, run: str = "*") -> list[tuple[str, str]]:
-        """Return the (right, key expression) pairs of a holder of this name, a state's helper keys included."""
-        given = {key: name if value == NAME else value for key, value in self.variables.items()}
+    def expressions(self, name: str | None, run: str = "*") -> list[tuple[str, str]]:
+        """Return the (right, key expression) pairs of a holder of this name, a state's helper keys included.
+
+        Without a name they are those of all holders.
+        """
+        named = {key: name if value == NAME else value for key, value in self.variables.items()}
+        given = {key: value for key, value in named.items() if value is not None}
         narrow, wide = (
             pattern.replace(f"{keys.ROOT}/run/", f"{keys.ROOT}/{run}/", 1)
             for pattern in (self.family.pattern("run", **given), self.family.pattern("run"))
@@ -144,6 +148,10 @@ GRANTS: Final = (
 """The whole table. Everybody may see whether a learner lives, so a process can report that it is not a member."""
 
 
+NEVER_AT_SITES: Final = ("learner",)
+"""Roles for which a site's router does not speak, so that none can pass for a learner."""
+
+
 def grants_of(role: str) -> tuple[Grant, ...]:
     """Return what a member of a role may do, including what everybody may do."""
     return tuple(grant for grant in GRANTS if grant.role in (role, ANYBODY))
@@ -164,7 +172,7 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
         {"id": str(member), "cert_common_names": [str(member)], "link_protocols": ["tls"]} for member in listed
     ]
 
-    def allow(owner: str, grants: Sequence[Grant], name: str, holders: list[str]) -> None:
+    def allow(owner: str, grants: Sequence[Grant], name: str | None, holders: list[str]) -> None:
         made = _rules(owner, [pair for grant in grants for pair in grant.expressions(name)])
         if made and holders:
             rules.extend(made)
@@ -177,6 +185,9 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
         for member in listed:
             if member.role == role:
                 allow(str(member), [g for g in mine if g.personal], member.name, [str(member)])
+    for relay, silent in (("router", ()), ("site", NEVER_AT_SITES)):
+        passed = [grant for grant in GRANTS if grant.role not in silent]
+        allow(relay, passed, None, [str(member) for member in listed if member.role == relay])
     return _list_of(rules, subjects, policies, enabled)
 
 

@@ -25,7 +25,7 @@ from eia_sec.common.text import printable
 from eia_sec.common.transport.admission import raise_limit
 from eia_sec.common.transport.endpoint import Endpoint, Lane
 from eia_sec.common.transport.handshake import complaint, silence
-from eia_sec.common.transport.zenoh_config import Values, admitting_px4, connecting, listening, routing
+from eia_sec.common.transport.zenoh_config import Values, admitting_px4, connecting, listening, relaying, routing
 
 if TYPE_CHECKING:
     from eia_sec.common.transport.credentials import (
@@ -222,6 +222,15 @@ class Bus:
         return cls._listening(routing(endpoint), endpoint, f"{endpoint} and the port after it")
 
     @classmethod
+    def relay(cls, endpoint: Endpoint, lane: Lane, upper: Endpoint) -> "Bus":
+        """Open a router for one lane that is linked to the one at `upper`, whether that is there or not.
+
+        Raises:
+            EndpointError: this machine cannot listen at `endpoint`.
+        """
+        return cls._listening(relaying(endpoint, lane, upper), endpoint, endpoint.locator(lane))
+
+    @classmethod
     def _listening(cls, values: Values, endpoint: Endpoint, where: str) -> "Bus":
         raise_limit()
         try:
@@ -395,6 +404,11 @@ class Bus:
             self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True),
             capacity,
         )
+
+    def is_linked_to(self, endpoint: Endpoint, lane: Lane) -> bool:
+        """Return whether this session has the link to a listener now."""
+        port = endpoint.locator(lane).rpartition(":")[2]  # who has come here has one that its system chose
+        return any(str(link.dst).rpartition(":")[2] == port for link in self._open().info.links())
 
     def living(self, key: str) -> list[str]:
         """Return the keys of the liveliness tokens that exist now."""

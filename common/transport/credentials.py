@@ -17,6 +17,7 @@ from eia_sec.common.names import is_name
 ROLES: Final = (
     "learner",
     "router",
+    "site",
     "flight",
     "rollout",
     "elite",
@@ -26,8 +27,8 @@ ROLES: Final = (
     "vehicle",
     "environment",
 )
-"""Roles that a certificate can name; only the first three listen."""
-LISTENING: Final = ("learner", "router", "flight")
+"""Roles that a certificate can name; only the first four listen."""
+LISTENING: Final = ("learner", "router", "site", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"
 MAX_PEM: Final = 64 * 1024
 """Largest certificate or key file that is read, bytes."""

@@ -79,6 +79,16 @@ def routing(endpoint: Endpoint) -> Values:
     return values | {"listen/endpoints": [_door(endpoint, "control"), _door(endpoint, "bulk")]}
 
 
+def relaying(endpoint: Endpoint, lane: Lane, upper: Endpoint) -> Values:
+    """Return the configuration of a router for one lane, which passes everything on to the router at `upper`.
+
+    A lane has a link of its own there, too, so that transitions do not hold up parameters. It comes back by itself.
+    """
+    door, way = listening(endpoint, lane, "router"), _dialling(upper, lane)
+    links = {path: door.get(path, {}) | way.get(path, {}) for path in ("transport/link/tls",) if path in door}
+    return door | way | links | {"connect/timeout_ms": -1, "connect/exit_on_failure": False}
+
+
 def _door(endpoint: Endpoint, lane: Lane) -> str:
     """Return the locator where a lane listens, with the listener's time limit."""
     bounds = "" if endpoint.credentials is None else f"#tls_handshake_timeout_ms={HANDSHAKE_MS}"
@@ -99,7 +109,11 @@ def document(values: Values) -> str:
 
 def connecting(endpoint: Endpoint, lane: Lane) -> Values:
     """Return the configuration of a session that connects to a listener or a router."""
-    values = _base("client", endpoint, lane) | {
+    return _base("client", endpoint, lane) | _dialling(endpoint, lane)
+
+
+def _dialling(endpoint: Endpoint, lane: Lane) -> Values:
+    values: Values = {
         "connect/endpoints": [endpoint.locator(lane)],
         "connect/timeout_ms": CONNECT_MS,
         "connect/exit_on_failure": True,

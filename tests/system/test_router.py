@@ -4,6 +4,7 @@ import datetime
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from eia_sec.deploy.monitor.audit import audit
 from eia_sec.deploy.security import authority
 from tests.system.fleet import RUN, TINY, Processes, configured, until
 
+PARAMETERS = keys.PARAMETERS.key(RUN)
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
 ZENOHD = """
 import sys, threading, zenoh
@@ -69,7 +71,7 @@ def issued(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("authority") / "keys"
     authority.create(folder)
     year = datetime.timedelta(days=365)
-    for name in ("learner.learner", "router.main"):
+    for name in ("learner.learner", "router.main", "site.barn"):
         authority.issue(folder, Identity.parse(name), ["127.0.0.1"], year)
     for name in ("rollout.0", "elite.coordinator", "monitor.m"):
         authority.issue(folder, Identity.parse(name), [], year)
@@ -89,7 +91,7 @@ def test_a_router_changes_nothing(routed: Routed, issued: Path) -> None:
     assert audit(routed.directory / "run").clean
     routed.running["router"].terminate()
     assert routed.wait("router", 30.0) == 0
-    assert "for 5 certificates" in routed.log("router")
+    assert "for 6 certificates" in routed.log("router")
 
 
 def alive(capsys: pytest.CaptureFixture[str], routed: Routed, *arguments: str) -> tuple[int, str]:
@@ -127,6 +129,75 @@ def test_a_killed_router_and_the_probe(routed: Routed, issued: Path, capsys: pyt
         assert routed.wait(name, 60.0) == 0, routed.log(name)
     found = audit(routed.directory / "run")
     assert found.clean, found.to_dict()
+
+
+@pytest.mark.parametrize("tls", [True, False], ids=["tls", "tcp"])
+def test_a_site_with_a_router_of_its_own(routed: Routed, issued: Path, tls: bool) -> None:
+    """Its workers train over two routers; either one, and the learner, may be killed and come back."""
+    routed.keys = issued if tls else None
+    routed.config.write_text(LONG)
+    site = free_endpoint()
+    beyond = ("router", "--listen", str(site), "--connect", str(routed.endpoint), *routed.tls("site.barn"))
+    routed.start("site", *beyond)
+    until(lambda: "no link to the main router" in routed.log("site"), "the complaint")
+    routed.router()
+    routed.coordinator()
+    routed.learner()
+    main, routed.endpoint = routed.endpoint, site
+    routed.worker()
+    routed.endpoint = main
+    history = routed.directory / "run" / "history" / "learner.jsonl"
+    taken = lambda: history.read_text().count('["accepted"') if history.exists() else 0  # noqa: E731  # used often
+    until(taken, "chunks over two routers")
+
+    def goes_on() -> None:
+        before = taken()
+        until(lambda: taken() > before + 3, "chunks afterwards")
+
+    goes_on()
+    routed.kill("site")
+    routed.start("site", *beyond)
+    goes_on()
+    routed.kill("router")
+    until(lambda: routed.log("site").count("no link") > 1, "the complaint")
+    routed.router()
+    goes_on()
+    routed.kill("learner")
+    routed.learner("--resume")
+    goes_on()
+    for name in ("rollout-0", "elite", "learner", "site", "router"):
+        routed.running[name].terminate()
+        assert routed.wait(name, 60.0) == 0, routed.log(name)
+    found = audit(routed.directory / "run")
+    assert found.clean, found.to_dict()
+
+
+def test_a_site_cannot_pass_for_a_learner(routed: Routed, issued: Path) -> None:
+    """Who holds a site's certificate speaks for every worker, but publishes no parameters and takes no transitions."""
+    routed.keys = issued
+    routed.router()
+    names = ("monitor.m", "rollout.0", "site.barn", "learner.learner")
+    links = [Endpoint.parse(str(routed.endpoint), issued / name) for name in names]
+    with ExitStack() as held:
+        monitor, worker, site, learner = (held.enter_context(Bus.connect(link, "control", 60.0)) for link in links)
+        metrics, parameters = monitor.subscribe(keys.METRIC.pattern(RUN), 16), worker.subscribe_state(PARAMETERS)
+        foreign, forged = site.publish(keys.METRIC.key(RUN, role="rollout", name="1")), site.publish_state(PARAMETERS)
+        arrived = []
+
+        def heard() -> bool:
+            foreign.put(b"for a worker")
+            forged.put(b"forged")
+            arrived.extend(metrics.drain())
+            return bool(arrived)
+
+        until(heard, "a metric", 30.0)
+        assert parameters.poll() is None
+        true = learner.publish_state(PARAMETERS)
+        true.put(b"true")
+        assert until(parameters.poll, "parameters", 30.0).payload == b"true"
+        stolen = site.serve(keys.TRANSITION.pattern(RUN), 4)
+        assert worker.ask(keys.TRANSITION.key(RUN, worker="0"), b"", 2.0) is None
+        assert not list(stolen.waiting())
 
 
 def test_zenohs_router_takes_the_printed_configuration(
