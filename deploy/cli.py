@@ -74,6 +74,7 @@ COMMANDS: Final = {
     "audit": Command("eia_sec.deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),
     "up": Command("eia_sec.deploy.commands.fleet.up", "start the processes of a fleet file on its hosts, over SSH"),
     "down": Command("eia_sec.deploy.commands.fleet.down", "stop a fleet, workers first"),
+    "restart": Command("eia_sec.deploy.commands.fleet.restart", "restart a fleet, at once or host after host"),
     "status": Command("eia_sec.deploy.commands.fleet.status", "show the processes of a fleet and their state"),
     "logs": Command("eia_sec.deploy.commands.fleet.logs", "show the logs of a fleet"),
     "fleet": Command(

@@ -13,7 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from eia_sec.common.config.files import differences, method_of, read_saved
-from eia_sec.common.errors import ConfigError, HostError
+from eia_sec.common.errors import ConfigError, EndpointError, HostError
+from eia_sec.common.protocol import keys
+from eia_sec.common.transport.bus import Bus
+from eia_sec.common.transport.credentials import ROUTERS, Identity
+from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
 from eia_sec.deploy.hosts.learner_move import RUN, holding, member_holdings
@@ -27,6 +31,8 @@ START_SECONDS: Final = 30.0
 KILL_SECONDS: Final = 5.0
 ORPHAN_SECONDS: Final = 25.0
 """Time that the processes of a killed keeper have to end by themselves."""
+PROBE_SECONDS: Final = 2.0
+"""Time that a listener has to answer when a host asks it for a process's token."""
 PROCESSES: Final = Path("/proc")
 """Where Linux has a folder for each process."""
 MAX_LINES: Final = 10_000
@@ -84,11 +90,11 @@ def up(
 
 
 def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict[str, Any]:
-    """Remove the processes of some roles from the plan, and wait until they have stopped.
+    """Remove processes from the plan, and wait until they have stopped.
 
     Args:
         folder: the host's folder.
-        roles: the roles.
+        roles: their roles, or their names.
         seconds: how long to wait.
         kill: whether to kill those that are still running then.
 
@@ -96,7 +102,7 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
         "ended" and "left": names of processes.
     """
     plan = read_json(folder / PLAN)
-    named = [name for name in plan.get("processes", {}) if name.split(".")[0] in roles]
+    named = [name for name in plan.get("processes", {}) if _is_one_of(name, roles)]
     before = _pids(folder, roles)
     if named:
         rest = {name: process for name, process in plan["processes"].items() if name not in named}
@@ -121,16 +127,22 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     return {"ended": sorted(set(before) - set(left)), "left": sorted(left)}
 
 
-def status(folder: Path, learners: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, Any]:
+def status(
+    folder: Path,
+    learners: Mapping[str, Mapping[str, str]] | None = None,
+    probes: Mapping[str, Mapping[str, str]] | None = None,
+) -> dict[str, Any]:
     """Return the keeper's process id, the state of its processes, its alarms, and what it holds of runs.
 
     Args:
         folder: the host's folder.
         learners: by the learner's name, `run`, its run's folder in that folder, and `config`, its configuration; those
             that have finished are named as "over".
+        probes: by the process's name, where to ask whether it lives, see `_lives`; those that do are named as "alive".
     """
     if not folder.is_dir():
-        return {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing", "members": {}, "over": []}
+        nothing = {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing", "members": {}}
+        return nothing | {"over": [], "alive": []}
     state = read_json(folder / STATE)
     alive = keeper.is_kept(folder)
     processes = state.get("processes", {}) if alive else {}
@@ -141,7 +153,26 @@ def status(folder: Path, learners: Mapping[str, Mapping[str, str]] | None = None
         "holds": holding(folder),
         "members": member_holdings(folder),
         "over": [name for name, one in (learners or {}).items() if _is_over(folder / one["run"], one["config"])],
+        "alive": [name for name, one in (probes or {}).items() if _lives(folder, Identity.parse(name), one)],
     }
+
+
+def _lives(folder: Path, who: Identity, where: Mapping[str, str]) -> bool:
+    """Return whether a listener knows a process's liveliness token, or whether a router answers.
+
+    Args:
+        folder: the host's folder.
+        who: the process.
+        where: `connect`, the listener's endpoint; `run`, the process's run; `name`, its name there; `tls`, the folder
+            of its certificate, or nothing.
+    """
+    credentials = folder / where["tls"] if where["tls"] else None
+    with (
+        suppress(EndpointError),
+        Bus.connect(Endpoint.parse(where["connect"], credentials), "control", PROBE_SECONDS) as bus,
+    ):
+        return who.role in ROUTERS or bool(bus.living(keys.LIVE.key(where["run"], role=who.role, name=where["name"])))
+    return False
 
 
 def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:
@@ -253,9 +284,14 @@ def _start_unit(folder: Path, command: Sequence[str]) -> None:
 
 
 def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
-    """Return the process ids of the running processes of some roles, by name."""
+    """Return the process ids of the running processes of some roles or names, by name."""
     found = status(folder)["processes"]
-    return {name: int(p["pid"]) for name, p in found.items() if p["pid"] and name.split(".")[0] in roles}
+    return {name: int(p["pid"]) for name, p in found.items() if p["pid"] and _is_one_of(name, roles)}
+
+
+def _is_one_of(name: str, roles: Sequence[str]) -> bool:
+    """Return whether a process has one of these roles, or one of these names."""
+    return name in roles or name.split(".", maxsplit=1)[0] in roles
 
 
 def _tail(path: Path, lines: int) -> str:

@@ -29,8 +29,10 @@ def inside(fleet: FleetSpec, host: str) -> Places:
 
     Raises:
         ConfigError: there are no certificates and `insecure` is not set; containers do not share a loopback. Or the
-            learner's device and the GPUs that its container requests do not fit.
+            learner's device and the GPUs that its container requests do not fit, or the fleet has sites.
     """
+    if fleet.sites:
+        raise ConfigError(f"{fleet.path}: containers are all at one place; remove sites, or use `eia-sec up`.")
     if fleet.keys is None and not fleet.network.insecure:
         raise ConfigError(
             f"{fleet.path}: containers share a network that strangers may reach; set network.keys to the folder of "

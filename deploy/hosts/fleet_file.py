@@ -88,6 +88,20 @@ class Router:
 
 
 @dataclass(frozen=True)
+class Site:
+    """A router for the hosts of one place, linked to the main one."""
+
+    host: str = ""
+    """Name of its host."""
+    endpoint: str = ""
+    """Where the hosts of the site reach it."""
+    listen: str = ""
+    """Where it listens. Default: as for the network."""
+    names: tuple[str, ...] = ()
+    """More names and addresses of it, for its certificate."""
+
+
+@dataclass(frozen=True)
 class LearnerSpec:
     """The learner."""
 
@@ -127,6 +141,8 @@ class Host:
     """Number of rollout workers."""
     member: str = ""
     """Member of the population that they serve. Default: those whose learners run on this host, in turn."""
+    site: str = ""
+    """Site whose router its workers connect to. Default: the main router."""
 
     @property
     def words(self) -> list[str]:
@@ -188,6 +204,7 @@ class FleetSpec:
     training: Training = field(default_factory=Training)
     network: Network = field(default_factory=Network)
     router: Router | None = None
+    sites: dict[str, Site] = field(default_factory=dict)
     learner: LearnerSpec = field(default_factory=LearnerSpec)
     population: dict[str, LearnerSpec] = field(default_factory=dict)
     coordinator: Coordinator = field(default_factory=Coordinator)
@@ -292,6 +309,7 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
     learners = learners or {"learner": fleet.learner}
     near = next(iter(learners.values())).host
     placed: dict[str, str | None] = {"router.host": fleet.router.host if fleet.router else None}
+    placed |= {f"sites.{name}.host": site.host for name, site in fleet.sites.items()}
     placed |= {f"{place}.host": learner.host for place, learner in learners.items()}
     for place, name in (placed | {"coordinator.host": fleet.coordinator.host or near}).items():
         if name is not None and name not in fleet.hosts:
@@ -302,13 +320,19 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
         if not 0 <= learner.gpus <= 64:
             raise ConfigError(f"{place}.gpus must be 0 to 64, not {learner.gpus}.")
     _check_members(fleet)
+    _check_sites(fleet)
     _check_containers(fleet.containers)
     hosts = {name: _host(fleet.run, name, host) for name, host in fleet.hosts.items()}
     where = [(host.host, host.folder) for host in hosts.values()]
     if len(set(where)) < len(where):
         raise ConfigError("two hosts use the same folder on the same machine; give each its own.")
     coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or near)
-    return replace(fleet, hosts=hosts, coordinator=coordinator, network=_network(fleet.network))
+    network = fleet.network
+    met = {name: _met(site, network, f"sites.{name}") for name, site in fleet.sites.items()}
+    sites = {name: replace(site, endpoint=met[name][0], listen=met[name][1]) for name, site in fleet.sites.items()}
+    endpoint, listen = _met(network, network, "network")
+    network = replace(network, endpoint=endpoint, listen=listen)
+    return replace(fleet, hosts=hosts, coordinator=coordinator, network=network, sites=sites)
 
 
 def _check_members(fleet: FleetSpec) -> None:
@@ -333,6 +357,19 @@ def _check_members(fleet: FleetSpec) -> None:
             raise ConfigError(
                 f"hosts.{name} has workers and no learner of the population; hosts.{name}.member says whom they serve."
             )
+
+
+def _check_sites(fleet: FleetSpec) -> None:
+    """Check what sites add: a main router to be linked to, and to which of them each host belongs."""
+    if fleet.sites and fleet.router is None:
+        raise ConfigError("the routers of sites are linked to the main one; add [router].")
+    for name, site in fleet.sites.items():
+        if not site.endpoint:
+            raise ConfigError(f"sites.{name}.endpoint must say where the hosts of the site reach its router.")
+    for name, host in fleet.hosts.items():
+        if host.site and host.site not in fleet.sites:
+            named = ", ".join(fleet.sites) or "none"
+            raise ConfigError(f"hosts.{name}.site must be one of the sites ({named}), not {host.site!r}.")
 
 
 def _runs(fleet: FleetSpec, config: RunConfig) -> tuple[FleetRun, ...]:
@@ -382,23 +419,21 @@ def _check_containers(containers: Containers) -> None:
             raise ConfigError(f"containers.{name} {value[:80]!r} is not of the form of {example}.")
 
 
-def _network(network: Network) -> Network:
-    """Return the network with its protocol and listening address, which must not let strangers in."""
+def _met(where: Network | Site, network: Network, place: str) -> tuple[str, str]:
+    """Return where a router, or the learner, is reached and where it listens, which must not let strangers in."""
     protocol = "tls" if network.keys else "tcp"
-    if network.endpoint.startswith("tls/") and not network.keys:
-        raise ConfigError("network.endpoint needs TLS; set network.keys to the folder of `eia-sec keys`.")
-    met = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.endpoint))
+    if where.endpoint.startswith("tls/") and not network.keys:
+        raise ConfigError(f"{place}.endpoint needs TLS; set network.keys to the folder of `eia-sec keys`.")
+    met = Endpoint.parse(re.sub(r"^tls/", "tcp/", where.endpoint))
     everywhere = "[::]" if met.host.startswith("[") else "0.0.0.0"
     default = str(met) if met.is_loopback else f"tcp/{everywhere}:{met.port}"
-    listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.listen or default))
+    listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", where.listen or default))
     if not network.keys and not (listens.is_loopback or network.insecure):
         raise ConfigError(
             f"listening on {listens} would let anybody who reaches it join the run; set network.keys to the folder "
             "of `eia-sec keys`, or set insecure = true if that is intended."
         )
-    return replace(
-        network, endpoint=str(replace(met, protocol=protocol)), listen=str(replace(listens, protocol=protocol))
-    )
+    return str(replace(met, protocol=protocol)), str(replace(listens, protocol=protocol))
 
 
 def _configuration(fleet: FleetSpec) -> RunConfig:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from eia_sec.common.process import StopSignal
 from eia_sec.common.transport import credentials
 from eia_sec.common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from eia_sec.common.transport.endpoint import Endpoint
-from eia_sec.deploy.hosts.fleet_file import FleetSpec
+from eia_sec.deploy.hosts.fleet_file import FleetSpec, Network, Site
 from eia_sec.deploy.hosts.learner_move import HOLDINGS, MAX_ARCHIVE
 from eia_sec.deploy.hosts.plan import ORDER, Process, here, processes
 from eia_sec.deploy.hosts.remote import Link, everywhere, links
@@ -22,12 +23,21 @@ from eia_sec.deploy.security import authority
 
 Failures = dict[str, str]
 """The reason for each host that failed."""
+ALIVE_SECONDS: Final = 300.0
+"""Longest wait until the processes of a restarted host live: some compile first."""
+LOOK_SECONDS: Final = 3.0
+NAMED: Final = 8
+"""Processes that a refusal names; a fleet may have hundreds."""
 MOVE_SECONDS: Final = 3600.0
 """Longest time for a learner's files to leave a host, and to come to another."""
 
 
-def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
+def up(fleet: FleetSpec, hosts: Collection[str] | None = None) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Start processes that do not run, restart those that changed, and stop those the fleet file no longer names.
+
+    Args:
+        fleet: the fleet.
+        hosts: the hosts to do it on; None for all.
 
     Returns:
         The state of each host that was reached, and the reason for each that failed.
@@ -37,13 +47,14 @@ def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
         UsageError: another host holds the run, so that the learner would begin it anew; nothing has been started.
         HostError: a host that may hold the run was not reached; nothing has been started.
     """
-    requests = {name: request_of(fleet, name) for name in fleet.hosts}
+    requests = {name: request_of(fleet, name) for name in fleet.hosts if hosts is None or name in hosts}
     with links(fleet) as ways:
         asked = partial(_asked_for_runs, fleet)
         states, failed = everywhere(ways, lambda link: _state(link, "status", {"learners": asked(link.name)}))
         require_one_run(fleet, states, failed)
         again = starting(fleet, {name for state in states.values() for name in state["over"]})
-        states, failed = everywhere(ways, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
+        chosen = {name: link for name, link in ways.items() if name in requests}
+        states, failed = everywhere(chosen, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
     return {name: states[name] for name in fleet.hosts if name in states}, failed
 
 
@@ -80,7 +91,8 @@ def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
             own[here(fleet).of(process.run).config] = to_toml(process.run.config)
         files |= own
         # A changed certificate restarts its process, a changed list of members only the listener.
-        needed = [item for item in sorted(own.items()) if process.role == fleet.listener[0] or MEMBERS not in item[0]]
+        listens = process.role in (fleet.listener[0], "site")
+        needed = [item for item in sorted(own.items()) if listens or MEMBERS not in item[0]]
         digest = hashlib.sha256(repr(needed).encode()).hexdigest()[:16]
         found[process.label] = {
             "arguments": list(process.arguments),
@@ -98,33 +110,112 @@ def _key_files(keys: Path, process: Process) -> dict[str, str]:
     return {(far / name).as_posix(): credentials.read_bounded(folder / name, 1024**2).decode() for name in names}
 
 
-def down(fleet: FleetSpec, seconds: float, kill: bool) -> tuple[list[str], list[str], Failures]:
-    """Stop a fleet: workers first, then the coordinator, the learner and the router.
+def down(
+    fleet: FleetSpec, seconds: float, kill: bool, *, hosts: Collection[str] | None = None, names: Collection[str] = ()
+) -> tuple[list[str], list[str], Failures]:
+    """Stop a fleet: workers first, then the coordinator, the learner and the routers.
 
     Args:
         fleet: the fleet.
-        seconds: how long to wait for each of these four.
+        seconds: how long to wait for each of these roles.
         kill: whether to kill what is still running then.
+        hosts: the hosts to do it on; None for all.
+        names: the processes to stop, "ROLE.NAME"; none for all.
 
     Returns:
         "HOST NAME" of what has stopped and of what has not, and the reason for each host that failed.
+
+    Raises:
+        UsageError: there is no process of such a name, neither in the file nor on any host.
     """
     ended: list[str] = []
     left: list[str] = []
     failed: Failures = {}
-    with links(fleet) as ways:
+    with links(fleet) as every:
+        ways = {name: link for name, link in every.items() if hosts is None or name in hosts}
         states, failures = everywhere(ways, partial(_state, verb="status", request={}))
         failed |= failures
+        there = {name for state in states.values() for name in state["processes"]}
+        for name in names:
+            if name not in there and not any(name == one.label for one in processes(fleet, here(fleet))):
+                raise no_process(fleet, name)
         kept = {host: {name.split(".")[0] for name in state["processes"]} for host, state in states.items()}
         for role in ORDER:
             reachable = {host: ways[host] for host, roles in kept.items() if role in roles and host not in failed}
-            ask = partial(Link.call, verb="down", request={"roles": [role], "seconds": seconds, "kill": kill})
+            roles = [name for name in names if name.split(".")[0] == role] if names else [role]
+            if not roles:
+                continue
+            ask = partial(Link.call, verb="down", request={"roles": roles, "seconds": seconds, "kill": kill})
             answers, failures = everywhere(reachable, partial(ask, seconds=seconds))
             failed |= failures
             for host, answer in answers.items():
                 ended += [f"{host} {name}" for name in _texts(answer.get("ended"))]
                 left += [f"{host} {name}" for name in _texts(answer.get("left"))]
     return ended, left, failed
+
+
+def no_process(fleet: FleetSpec, name: str) -> UsageError:
+    """Return what is wrong with a name that no process of a fleet has."""
+    known = [one.label for one in processes(fleet, here(fleet))]
+    more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
+    return UsageError(f"{fleet.path} has no process {name!r}; it has {', '.join(known[:NAMED])}{more}.")
+
+
+def restart(fleet: FleetSpec, seconds: float, *, rolling: bool, tell: Callable[[str], None]) -> None:
+    """Stop all processes and start them again; of a finished run nothing is started.
+
+    Args:
+        fleet: the fleet.
+        seconds: how long to wait for the processes of each role to stop.
+        rolling: whether one host after another is restarted, in the order of the file, each when all of the last one
+            run again; else all are at once.
+        tell: hears a sentence when a host's processes run again.
+
+    Raises:
+        HostError: a host was not reached, or a process did not stop or does not come back; what comes after it was left
+            as it is.
+        UsageError, CredentialsError: as in `up`.
+    """
+    for hosts in [[name] for name in fleet.hosts] if rolling else [list(fleet.hosts)]:
+        _, running, failed = down(fleet, seconds, kill=False, hosts=hosts)
+        _require_all(failed)
+        if running:
+            raise HostError(f"{running[0]} is still running after {seconds:g} s; nothing was started again.")
+        _, failed = up(fleet, hosts)
+        _require_all(failed)
+        count = _await_alive(fleet, hosts)
+        tell(f"{', '.join(hosts)}: {count} processes run again.")
+
+
+def _await_alive(fleet: FleetSpec, hosts: Collection[str]) -> int:
+    """Wait until all that a fleet file names on hosts lives, or has finished; return how many processes that are."""
+    named = {(one.host, one.label): one for one in processes(fleet, here(fleet)) if one.host in hosts}
+    probes = {
+        host: {label: _probe(fleet, one) for (where, label), one in named.items() if where == host} for host in hosts
+    }
+    end = time.monotonic() + ALIVE_SECONDS
+    while True:
+        with links(fleet) as every:
+            ways = {name: link for name, link in every.items() if name in hosts}
+            states, failed = everywhere(ways, lambda link: _state(link, "status", {"probes": probes[link.name]}))
+        _require_all(failed)
+        words = {(host, label): states[host]["processes"].get(label, {}).get("state") for host, label in named}
+        away = [one for one in named if words[one] != "finished" and one[1] not in states[one[0]]["alive"]]
+        if not away:
+            return len(named)
+        for host, label in away:
+            if words[host, label] == "given up" or time.monotonic() > end:
+                raise HostError(f"{label} on {host} does not come back; `eia-sec logs --process {label}` says why.")
+        time.sleep(LOOK_SECONDS)
+
+
+def _probe(fleet: FleetSpec, process: Process) -> dict[str, str]:
+    """Return where a host is to ask whether one of its processes lives."""
+    words = dict(zip(process.arguments, process.arguments[1:], strict=False))
+    own = fleet.sites[process.name].endpoint if process.role == "site" else fleet.network.endpoint
+    run = process.run.name if process.run is not None else fleet.runs[0].name
+    where = words.get("--connect", own) if process.role == "rollout" else own
+    return {"connect": where, "run": run, "name": process.identity.name, "tls": words.get("--tls", "")}
 
 
 def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
@@ -197,7 +288,7 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
     state = link.call(verb, request)
     processes, alarms, members = state.get("processes"), state.get("alarms"), state.get("members", {})
-    over = state.setdefault("over", [])
+    over, alive = state.setdefault("over", []), state.setdefault("alive", [])
     if not (
         type(state.get("keeper")) is int
         and isinstance(alarms, list)
@@ -206,7 +297,8 @@ def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
         and isinstance(members, dict)
         and all(what in HOLDINGS for what in members.values())
         and isinstance(over, list)
-        and all(isinstance(name, str) for name in over)
+        and isinstance(alive, list)
+        and all(isinstance(name, str) for name in [*over, *alive])
         and isinstance(processes, dict)
         and all(isinstance(process, dict) and _is_process(process) for process in processes.values())
     ):
@@ -270,11 +362,18 @@ def follow(
         return everywhere(ways, stream, len(ways))[1]
 
 
-def listener_names(fleet: FleetSpec) -> tuple[str, ...]:
-    """Return the names and addresses for the listener's certificate, including those inside containers."""
-    host = Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
-    role = fleet.listener[0]
-    wanted = (host, *fleet.network.names, "localhost", "127.0.0.1", role, service_name(fleet, role))
+def served_names(fleet: FleetSpec, identity: Identity) -> tuple[str, ...]:
+    """Return the names and addresses for a certificate, of the listener also those inside containers."""
+    inner: tuple[str, ...] = ()
+    if identity.role == fleet.listener[0]:
+        place: Network | Site = fleet.network
+        inner = (identity.role, service_name(fleet, identity.role))
+    elif identity.role == "site":
+        place = fleet.sites[identity.name]
+    else:  # a learner behind a router does not listen, but its certificate needs a host
+        return ("localhost",) if identity.role in LISTENING else ()
+    host = Endpoint.parse(place.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
+    wanted = (host, *place.names, "localhost", "127.0.0.1", *inner)
     return tuple(dict.fromkeys(name for name in wanted if name not in ("0.0.0.0", "::")))
 
 
@@ -286,7 +385,7 @@ def service_name(fleet: FleetSpec, role: str) -> str:
 def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
     """Make the certificates that a fleet lacks, including the authority's, operator's, monitor's and watcher's.
 
-    The listener's is renewed when the fleet has given it a new name.
+    Those of listeners are renewed when the fleet has given them a new name.
 
     Returns:
         The identities that got a certificate.
@@ -303,14 +402,12 @@ def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
     made = []
     lifetime = authority.lasting(days)
     for identity in needed:
+        names = served_names(fleet, identity)
         if not (fleet.keys / str(identity) / CERTIFICATE).exists():
-            # A learner behind a router does not listen, but its certificate needs a host.
-            elsewhere = ("localhost",) if identity.role in LISTENING else ()
-            hosts = listener_names(fleet) if identity.role == fleet.listener[0] else elsewhere
-            authority.issue(fleet.keys, identity, hosts, lifetime)
+            authority.issue(fleet.keys, identity, names, lifetime)
             made.append(identity)
-        elif identity.role == fleet.listener[0] and (
-            more := authority.not_served(fleet.keys, identity, listener_names(fleet))
+        elif identity.role in (fleet.listener[0], "site") and (
+            more := authority.not_served(fleet.keys, identity, names)
         ):
             authority.renew(fleet.keys, identity, lifetime, more)
             made.append(identity)

@@ -10,7 +10,7 @@ from eia_sec.deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
 """Seconds that processes wait for the listener: hosts start in any order, some much later."""
-ORDER: Final = ("rollout", "elite", "learner", "router")
+ORDER: Final = ("rollout", "elite", "learner", "site", "router")
 """Roles in the order in which they stop: workers first, so that they deliver their last chunks."""
 
 SHARING: Final = "--shared-memory"
@@ -22,7 +22,7 @@ class Process:
     """One process.
 
     Attributes:
-        role: router, learner, elite or rollout.
+        role: router, site, learner, elite or rollout.
         name: its name inside the role; a learner's is that of its member in a population.
         host: its host's name in the fleet file.
         arguments: what follows `eia-sec`.
@@ -82,19 +82,14 @@ def here(fleet: FleetSpec) -> Places:
 
 
 def processes(fleet: FleetSpec, places: Places) -> list[Process]:
-    """Return every process of a fleet: router, learner, coordinator, then workers."""
+    """Return every process of a fleet: routers, learner, coordinator, then workers."""
     found = []
     if fleet.router is not None:
-        router = Identity("router", fleet.router.name)
-        arguments = (
-            "router",
-            "--listen",
-            places.listen,
-            *_shared(fleet),
-            *_insecure(fleet),
-            *_tls(fleet, places, router),
-        )
-        found.append(Process("router", fleet.router.name, fleet.router.host, arguments))
+        who = Identity("router", fleet.router.name)
+        found.append(Process("router", who.name, fleet.router.host, _router(fleet, places, who, places.listen)))
+    for name, site in fleet.sites.items():
+        arguments = _router(fleet, places, Identity("site", name), site.listen, "--connect", places.endpoint)
+        found.append(Process("site", name, site.host, arguments))
     found += [_learner(fleet, places.of(run), run) for run in fleet.runs]
     coordinator = fleet.coordinator
     runs: tuple[str, ...] = ("--run", fleet.run, "--connect", places.endpoint)
@@ -110,8 +105,9 @@ def processes(fleet: FleetSpec, places: Places) -> list[Process]:
 
 def worker(fleet: FleetSpec, places: Places, run: FleetRun, host: str, name: str) -> Process:
     """Return one worker of a run."""
-    config = run.config
-    joining = _joining(fleet, places, ("--run", run.name, "--connect", places.endpoint), Identity("rollout", name))
+    config, site = run.config, fleet.hosts[host].site
+    endpoint = fleet.sites[site].endpoint if site else places.endpoint
+    joining = _joining(fleet, places, ("--run", run.name, "--connect", endpoint), Identity("rollout", name))
     history = ("--history", f"{places.of(run).run_dir}/{HISTORY}/rollout-{name}.jsonl")
     return Process(
         "rollout",
@@ -121,6 +117,11 @@ def worker(fleet: FleetSpec, places: Places, run: FleetRun, host: str, name: str
         config.rollout.threads,
         run,
     )
+
+
+def _router(fleet: FleetSpec, places: Places, who: Identity, listen: str, *linked: str) -> tuple[str, ...]:
+    where = ("router", "--listen", listen, *linked)
+    return (*where, *_shared(fleet), *_insecure(fleet), *_tls(fleet, places, who))
 
 
 def _learner(fleet: FleetSpec, places: Places, run: FleetRun) -> Process:

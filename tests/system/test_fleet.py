@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from eia_sec.common.transport.endpoint import free_endpoint
 from tests.system.fleet import until
 from tests.system.hosts import EIA_SEC, OnHosts, fake_ssh, gone, sshd, taken, until_more
 
@@ -22,6 +23,25 @@ folder = "one"
 host = "local"
 folder = "two"
 workers = 1
+"""
+
+LEARNING = ("learner.learner", "elite.coordinator")
+SITE = """
+[router]
+host = "one"
+[sites.barn]
+host = "two"
+endpoint = "{endpoint}"
+[learner]
+host = "one"
+[hosts.one]
+host = "local"
+folder = "one"
+[hosts.two]
+host = "local"
+folder = "two"
+workers = 2
+site = "barn"
 """
 
 
@@ -65,6 +85,50 @@ def test_a_fleet_is_started_changed_and_ended(tmp_path: Path, folders: list[Path
     found = fleet.collected()
     assert found.clean, found.to_dict()
     assert found.produced > 0
+
+
+def test_a_site_is_drained_and_restarted_host_after_host(tmp_path: Path, folders: list[Path]) -> None:
+    """Over two routers: a worker ends alone, all hosts are restarted in turn, and nothing acknowledged is lost."""
+    fleet, file = OnHosts(tmp_path, SITE.format(endpoint=free_endpoint())), str(tmp_path / "fleet.toml")
+    history = tmp_path / "one" / "run" / "history" / "learner.jsonl"
+    fleet.eia_sec("up", file)
+    first = fleet.pids()
+    assert set(first) == {"router.main", "site.barn", *LEARNING, "rollout.two-0", "rollout.two-1"}
+    until_more(history)
+    assert "has no process 'rollout.9'" in fleet.eia_sec("down", file, "--process", "rollout.9", code=2)
+    said = fleet.eia_sec("down", file, "--process", "rollout.two-1")
+    assert said.splitlines() == ["two rollout.two-1 has stopped."]
+    left = fleet.pids()
+    assert left == {name: pid for name, pid in first.items() if name != "rollout.two-1"}
+    until_more(history)
+    fleet.eia_sec("up", file)
+    until(lambda: len(fleet.pids()) == len(first), "the worker")
+    again = fleet.eia_sec("restart", file, "--rolling").splitlines()
+    assert again == ["one: 3 processes run again.", "two: 3 processes run again."]
+    second = fleet.pids()
+    assert set(second) == set(first)
+    assert not set(second.values()) & set(first.values())
+    until_more(history)
+    fleet.eia_sec("down", file)
+    found = fleet.collected()
+    assert found.clean, found.to_dict()
+    assert found.starts == 2
+    assert found.steps["lost"] == 0, found.to_dict()
+
+
+def test_a_restart_stops_at_a_host_that_does_not_come_back(tmp_path: Path, folders: list[Path]) -> None:
+    """The sentence names process and host; the hosts after it run on as they did."""
+    fleet, file = OnHosts(tmp_path, SITE.format(endpoint=free_endpoint())), str(tmp_path / "fleet.toml")
+    fleet.eia_sec("up", file)
+    until_more(tmp_path / "one" / "run" / "history" / "learner.jsonl")
+    before = fleet.pids()
+    (tmp_path / "one" / "run" / "config.toml").write_text("nonsense")
+    said = fleet.eia_sec("restart", file, "--rolling", code=1)
+    assert "learner.learner on one does not come back" in said
+    after = fleet.pids()
+    assert {name: pid for name, pid in after.items() if ".two" in name or "site" in name} == {
+        name: pid for name, pid in before.items() if ".two" in name or "site" in name
+    }
 
 
 @pytest.mark.nightly

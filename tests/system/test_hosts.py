@@ -1,21 +1,34 @@
 """A fleet on hosts that are network namespaces, with mutual TLS and a delay on the way to the router."""
 
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from research.experiments.network.hosts import ROLES, Hosts, evaluated, finish, happen
-from research.experiments.network.namespaces import laboratory
-from tests.system.fleet import PRESET
+from research.experiments.network.hosts import HOSTS, Hosts, evaluated, finish, happen
+from research.experiments.network.namespaces import NETWORK, PORT, laboratory
+from tests.system.fleet import PRESET, on_policy
 from tests.system.hosts import LONG
 
 DELAY = 0.02
+AT_SITE = 'site = "barn"\nworkers = {}\n'
+SITE = {"router": "workers = 2\n", "learner": "", "barn": AT_SITE.format(3), "field": AT_SITE.format(3)}
+"""Hosts with a main router, and with one of a site; on these are six of eight workers."""
+COUNTS = (("router", 2), ("barn", 3), ("field", 3))
+RESTARTED = (("router", 3), ("learner", 2), ("barn", 4), ("field", 3))
+"""Processes of each host."""
+TABLES = f"""learners = 2
+[sites.barn]
+host = "barn"
+endpoint = "tls/{NETWORK}.{list(SITE).index("barn") + 1}:{PORT}"
+"""
 
 
 def on_hosts(folder: Path, cut: float) -> dict[str, Any]:
     """Run the tiny farm on six hosts, one of which joins and one of which is cut off; return the results."""
-    with laboratory(folder, len(ROLES), DELAY) as lab:
+    with laboratory(folder, len(HOSTS), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
         fleet = Hosts(lab, PRESET, LONG)
@@ -47,10 +60,46 @@ def test_a_long_cut_is_caught_up(tmp_path):
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1200)
+def test_two_routers_two_learners_and_eight_workers(tmp_path):
+    """A router is killed, a worker drained, all hosts are restarted in turn, the fleet ended and resumed: none lost."""
+    toml = on_policy("eia-ppo").replace("episodes = 8", "episodes = 1000000").replace("cycle = 2", "cycle = 200")
+    with laboratory(tmp_path, len(SITE), DELAY) as lab:
+        if lab is None:
+            pytest.skip("making network namespaces needs root and iproute2")
+        fleet = Hosts(lab, PRESET, toml, SITE, TABLES)
+        file, workers = str(fleet.file), [f"{host}-{n}" for host, count in COUNTS for n in range(count)]
+
+        def all_deliver():
+            before = {worker: fleet.taken(worker) for worker in workers}
+            fleet.until(lambda: all(fleet.taken(worker) > count for worker, count in before.items()), "chunks of all")
+
+        fleet.eia_sec("up", file)
+        all_deliver()
+        for router in ("site.barn", "router.main"):
+            before = fleet.processes()[router]["pid"]
+            os.kill(before, signal.SIGKILL)
+            fleet.until(lambda r=router, b=before: fleet.processes()[r]["pid"] not in (0, b), f"another {router}")
+            all_deliver()
+        fleet.eia_sec("down", file, "--process", "rollout.field-0")
+        assert fleet.state("rollout.field-0") == "down"
+        said = fleet.eia_sec("restart", file, "--rolling").splitlines()
+        assert said == [f"{host}: {count} processes run again." for host, count in RESTARTED]
+        all_deliver()
+        fleet.eia_sec("down", file)
+        fleet.eia_sec("up", file)
+        all_deliver()
+        results = finish(fleet)
+    assert results["ledger"]["unexplained"] == results["ledger"]["counted_twice"] == 0, results
+    assert results["ledger"]["lost"] == 0, results
+    assert set(results["accepted_by_worker"]) == set(workers)
+
+
+@pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_they_learn(tmp_path):
     """The quick preset, trained on six hosts, ends far above who does not move or moves at random, on unseen farms."""
-    with laboratory(tmp_path, len(ROLES), DELAY) as lab:
+    with laboratory(tmp_path, len(HOSTS), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
         fleet = Hosts(lab, "quick", "episodes = 1200")

@@ -86,4 +86,4 @@ def _answer(verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
         return agent.logs(folder, request["names"], int(request["lines"]))
     if verb == "forget":
         return {"kept": learner_move.forget(folder)}
-    return agent.status(folder, request.get("learners", {}))
+    return agent.status(folder, request.get("learners", {}), request.get("probes", {}))

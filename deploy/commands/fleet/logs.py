@@ -5,12 +5,11 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import tyro
 
 from eia_sec.common.config.checks import within
-from eia_sec.common.errors import UsageError
 from eia_sec.common.process import StopSignal
 from eia_sec.common.text import printable_lines
 from eia_sec.deploy.exit_codes import DONE, FAILED
@@ -19,9 +18,6 @@ from eia_sec.deploy.hosts.agent import MAX_LINES
 from eia_sec.deploy.hosts.fleet_file import FleetSpec, read
 from eia_sec.deploy.hosts.plan import here, processes
 from eia_sec.deploy.options import parse
-
-NAMED: Final = 8
-"""Processes that a refusal names; a fleet may have hundreds."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +57,7 @@ def _require_processes(fleet: FleetSpec, wanted: Sequence[str]) -> None:
     known = ["keeper", *(process.label for process in processes(fleet, here(fleet)))]
     strangers = [name for name in wanted if name not in known]
     if strangers and (missing := _without_log(fleet, strangers)):
-        more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
-        raise UsageError(f"{fleet.path} has no process {missing[0]!r}; it has {', '.join(known[:NAMED])}{more}.")
+        raise operations.no_process(fleet, missing[0])
 
 
 def _without_log(fleet: FleetSpec, names: Sequence[str]) -> list[str]:

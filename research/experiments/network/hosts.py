@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,9 +24,10 @@ from eia_sec.deploy.monitor.audit import audit
 from eia_sec.deploy.reports.provenance import provenance
 from research.experiments.network.namespaces import PORT, RELAY, Laboratory, laboratory
 
-ROLES: Final = ("router", "learner", "coordinator", "first", "second", "late")
-"""The hosts' names, one for each namespace."""
-CUT, LATE = ROLES.index("first"), ROLES.index("late")
+WORKER: Final = "workers = 1\n"
+HOSTS: Final = {"router": "", "learner": "", "coordinator": "", "first": WORKER, "second": WORKER, "late": WORKER}
+"""The hosts' names, one for each namespace, and what each one's table holds."""
+CUT: Final = list(HOSTS).index("first")
 START_SECONDS: Final = 300.0
 
 HEAD: Final = """run = "hosts"
@@ -40,7 +41,8 @@ keys = "keys"
 host = "router"
 [learner]
 host = "learner"
-[coordinator]
+{tables}"""
+APART: Final = """[coordinator]
 host = "coordinator"
 """
 
@@ -70,27 +72,34 @@ class Hosts:
         lab: the namespaces.
         preset: the preset to train.
         toml: values that replace the preset's.
+        hosts: the hosts' names, in the order of the namespaces, and what their tables hold.
+        tables: further tables of the fleet file, and before them what the learner's holds.
     """
 
-    def __init__(self, lab: Laboratory, preset: str, toml: str) -> None:
-        self.lab = lab
+    def __init__(
+        self, lab: Laboratory, preset: str, toml: str, hosts: Mapping[str, str] = HOSTS, tables: str = APART
+    ) -> None:
+        self.lab, self.hosts = lab, hosts
         self.file = lab.folder / "fleet.toml"
         (lab.folder / "wanted.toml").write_text(toml, encoding="utf-8")
-        self.head = HEAD.format(preset=preset, relay=RELAY, port=PORT)
+        self.head = HEAD.format(preset=preset, relay=RELAY, port=PORT, tables=tables)
         # Names are issued ahead: the router reads its list of members only when it starts.
-        self.describe(ROLES)
+        self.describe(list(hosts))
         self.eia_sec("fleet", "keys", str(self.file))
-        self.describe([name for name in ROLES if name != "late"])
+        self.describe([name for name in hosts if name != "late"])
 
-    def describe(self, hosts: list[str] | tuple[str, ...]) -> None:
+    def describe(self, hosts: Sequence[str]) -> None:
         """Write the fleet file with these hosts."""
         command = f"env PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m eia_sec.deploy.cli"
         text = self.head
         for name in hosts:
-            workers = int(name in ROLES[3:])
-            host = self.lab.names[ROLES.index(name)]
-            text += f'[hosts.{name}]\nhost = "{host}"\nfolder = "run"\ncommand = "{command}"\nworkers = {workers}\n'
+            host = self.lab.names[self.place(name)]
+            text += f'[hosts.{name}]\nhost = "{host}"\nfolder = "run"\ncommand = "{command}"\n{self.hosts[name]}'
         self.file.write_text(text, encoding="utf-8")
+
+    def place(self, host: str) -> int:
+        """Return the number of a host's namespace."""
+        return list(self.hosts).index(host)
 
     def eia_sec(self, *words: str) -> str:
         """Run a command that has to succeed; return what it printed."""
@@ -107,7 +116,7 @@ class Hosts:
 
     def taken(self, worker: str = "") -> int:
         """Return how many lines of accepted chunks (of one worker) the learner's history has."""
-        path = self.lab.home(ROLES.index("learner")) / "run" / "run" / "history" / "learner.jsonl"
+        path = self.lab.home(self.place("learner")) / "run" / "run" / "history" / "learner.jsonl"
         return path.read_text(encoding="utf-8").count(f'["accepted","{worker}') if path.exists() else 0
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = START_SECONDS) -> float:
@@ -121,10 +130,14 @@ class Hosts:
 
     def state(self, process: str) -> str:
         """Return the state of a process as `eia-sec status` shows it."""
+        return str(self.processes().get(process, {}).get("state", "down"))
+
+    def processes(self) -> dict[str, dict[str, Any]]:
+        """Return what `eia-sec status` knows of each process that a host has."""
         command = [sys.executable, "-m", "eia_sec.deploy.cli", "status", str(self.file), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, env=self.lab.environment(), check=False)
-        found = [host["processes"].get(process, {}) for host in json.loads(done.stdout)["hosts"].values()]
-        return next((str(part["state"]) for part in found if part), "down")
+        hosts = json.loads(done.stdout)["hosts"].values()
+        return {name: dict(state) for host in hosts for name, state in host["processes"].items()}
 
 
 def happen(fleet: Hosts, cut: float) -> dict[str, Any]:
@@ -135,7 +148,7 @@ def happen(fleet: Hosts, cut: float) -> dict[str, Any]:
     fleet.until(fleet.taken, "the first chunk")
     first = time.monotonic() - started
     fleet.until(lambda: fleet.taken("first-0"), "a chunk of the host that is cut off later")
-    fleet.describe(ROLES)
+    fleet.describe(list(fleet.hosts))
     started = time.monotonic()
     fleet.eia_sec("up", str(fleet.file))
     fleet.until(lambda: fleet.taken("late-0"), "a chunk of the sixth host")
@@ -187,7 +200,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, prog="python -m research.experiments.network.hosts")
     with (
         tempfile.TemporaryDirectory() as folder,
-        laboratory(Path(folder), len(ROLES), arguments.delay) as lab,
+        laboratory(Path(folder), len(HOSTS), arguments.delay) as lab,
     ):
         if lab is None:
             sys.exit("making network namespaces needs root and iproute2.")
@@ -206,7 +219,7 @@ def main() -> None:
         **provenance("research.experiments.network.hosts"),
         "preset": arguments.preset,
         "seed": seed,
-        "hosts": len(ROLES),
+        "hosts": len(HOSTS),
         "delay_seconds": arguments.delay,
         "farms": arguments.farms,
         **measured,

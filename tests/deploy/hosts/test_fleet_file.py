@@ -11,6 +11,7 @@ import pytest
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import ConfigError, CredentialsError
 from eia_sec.common.transport import credentials
+from eia_sec.common.transport.credentials import Identity
 from eia_sec.deploy.hosts import operations
 from eia_sec.deploy.hosts.fleet_file import Containers, Coordinator, Host, LearnerSpec, Network, Router, Training, read
 from eia_sec.deploy.hosts.plan import here, processes
@@ -90,6 +91,61 @@ def test_several_learners_are_the_learners_option(tmp_path):
     learner, *others = processes(fleet, here(fleet))
     assert learner.arguments[learner.arguments.index("--learners") + 1] == "2"
     assert len(others) == 2
+
+
+SITES = """[router]
+host = "a"
+[network]
+endpoint = "tls/farm:7447"
+keys = "k"
+[sites.barn]
+host = "b"
+endpoint = "tls/barn:7500"
+names = ["10.0.0.7"]
+[hosts.b]
+host = "local"
+folder = "b"
+workers = 2
+site = "barn"
+"""
+
+
+def test_a_site_has_a_router_for_its_hosts(tmp_path):
+    """Its workers connect to it, and it to the main router; everybody else stays with that."""
+    fleet = read(written(tmp_path, SMALL + SITES))
+    found = {process.label: process for process in processes(fleet, here(fleet))}
+    words = {name: dict(zip(one.arguments, one.arguments[1:], strict=False)) for name, one in found.items()}
+    assert (words["site.barn"]["--listen"], words["site.barn"]["--connect"]) == ("tls/0.0.0.0:7500", "tls/farm:7447")
+    assert words["site.barn"]["--tls"] == "keys/site.barn"
+    met = {name: given.get("--connect") for name, given in words.items() if name != "site.barn"}
+    main, site = (
+        dict.fromkeys(("learner.learner", "elite.coordinator", "rollout.a-0"), "tls/farm:7447"),
+        "tls/barn:7500",
+    )
+    assert met == main | dict.fromkeys(("rollout.b-0", "rollout.b-1"), site) | {"router.main": None}
+    assert Identity("site", "barn") in operations.issue_keys(fleet, 30)
+    assert {"barn", "10.0.0.7"} <= set(operations.served_names(fleet, Identity("site", "barn")))
+    wider = read(written(tmp_path, SMALL + SITES.replace("10.0.0.7", "10.0.0.8")))
+    assert operations.issue_keys(wider, 30) == [Identity("site", "barn")]
+    with pytest.raises(ConfigError, match="containers are all at one place"):
+        render(fleet, "compose", tmp_path / "rendered")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('[router]\nhost = "a"\n', "", r"add \[router\]"),
+        ('endpoint = "tls/barn:7500"\n', "", r"sites.barn.endpoint must say where"),
+        ("tls/barn:7500", "nowhere", "nowhere"),
+        ('site = "barn"', 'site = "shed"', r"hosts.b.site must be one of the sites \(barn\), not 'shed'"),
+        ('[sites.barn]\nhost = "b"', '[sites.barn]\nhost = "c"', "sites.barn.host must be one of the hosts a, b"),
+    ],
+)
+def test_a_mistake_about_sites_is_named(tmp_path, old, new, said):
+    """Before anything starts."""
+    assert old in SITES
+    with pytest.raises(ConfigError, match=said):
+        read(written(tmp_path, SMALL + SITES.replace(old, new)))
 
 
 def test_shared_memory_is_for_those_that_move_transitions(tmp_path):
@@ -193,7 +249,8 @@ def test_keys_are_made_for_everybody_once(tmp_path):
     made = {str(identity) for identity in operations.issue_keys(fleet, 30)}
     assert made >= {"router.main", "learner.learner", "elite.coordinator", "rollout.a-0", "monitor.monitor"}
     assert operations.issue_keys(fleet, 30) == []
-    assert {"farm", "10.0.0.1", "router", "farm-router"} <= set(operations.listener_names(fleet))
+    (router,) = [process.identity for process in processes(fleet, here(fleet)) if process.role == "router"]
+    assert {"farm", "10.0.0.1", "router", "farm-router"} <= set(operations.served_names(fleet, router))
     request = operations.request_of(fleet, "a")
     assert "keys/router.main/members.txt" in request["files"]
     assert not any("ca.key" in name for name in request["files"])

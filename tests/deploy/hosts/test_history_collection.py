@@ -164,7 +164,8 @@ def test_no_link_in_the_target_is_followed(tmp_path):
     assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("learner.jsonl", "mine")]
 
 
-STATE = {"keeper": 1, "processes": {}, "alarms": [], "holds": "run", "members": {"member-0": "run"}, "over": ["x"]}
+STATE = {"keeper": 1, "processes": {}, "alarms": [], "holds": "run", "members": {"member-0": "run"}}
+STATE |= {"over": ["x"], "alive": ["y"]}
 
 
 @pytest.mark.parametrize(
@@ -181,6 +182,8 @@ STATE = {"keeper": 1, "processes": {}, "alarms": [], "holds": "run", "members": 
         {"members": {"member-0": ["run"]}},
         {"over": 5},
         {"over": [1]},
+        {"alive": 5},
+        {"alive": [1]},
     ],
 )
 def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, change):

@@ -51,8 +51,8 @@ def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path, monkeypatch):
     words = systemd_run[1].read_text().splitlines()
     assert words[:3] == ["--user", "--quiet", "--collect"]
     assert words[3].startswith("--unit=eia-sec-")
-    # Only the keeper gets SIGTERM; four roles have half a minute each.
-    assert {"--property=KillMode=process", "--property=TimeoutStopSec=150"} <= set(words)
+    # Only the keeper gets SIGTERM; five roles have half a minute each.
+    assert {"--property=KillMode=process", "--property=TimeoutStopSec=180"} <= set(words)
     assert words[words.index("--") + 1] == sys.executable
     log = folder / agent.LOG
     until(lambda: log.exists() and "rollout.here-0" in log.read_text(), "the keeper's log")
