@@ -225,7 +225,10 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         "measure": "--job",
         "bridge": "px4",
     }
-    named |= dict.fromkeys(("up", "down", "restart", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
+    named |= dict.fromkeys(("up", "down", "restart", "status", "logs"), "FLEET") | {
+        "fleet": "render",
+        "host": "--folder",
+    }
     assert named.get(name, "--run") in capsys.readouterr().out
 
 
