@@ -173,15 +173,15 @@ class Request:
 
 
 class Publisher:
-    """Puts on one key."""
+    """Puts on one key, each with the time of this process's clock, for whoever subscribes to it."""
 
-    def __init__(self, publisher: Any) -> None:
-        self._publisher = publisher
+    def __init__(self, session: zenoh.Session, publisher: Any) -> None:
+        self._session, self._publisher = session, publisher
 
     def put(self, payload: bytes, attachment: bytes = b"") -> None:
         """Publish one sample; raise BusClosedError when the bus is closed."""
         try:
-            self._publisher.put(payload, attachment=attachment or None)
+            self._publisher.put(payload, attachment=attachment or None, timestamp=self._session.new_timestamp())
         except zenoh.ZError as error:
             raise BusClosedError(f"the bus is closed: {error}") from error
 
@@ -363,7 +363,8 @@ class Bus:
     def publish(self, key: str, encoding: str = "") -> Publisher:
         """Publish lossy puts on a key; the encoding tells other programs what they are."""
         session, drop = self._open(), zenoh.CongestionControl.DROP
-        return Publisher(session.declare_publisher(key, encoding=zenoh.Encoding(encoding), congestion_control=drop))
+        made = session.declare_publisher(key, encoding=zenoh.Encoding(encoding), congestion_control=drop)
+        return Publisher(session, made)
 
     def subscribe(self, key: str, capacity: int) -> Subscription:
         """Receive lossy puts; at most `capacity` wait, and a new one replaces the oldest."""
@@ -371,17 +372,17 @@ class Bus:
 
     def publish_state(self, key: str, encoding: str = "") -> Publisher:
         """Publish a state: late joiners get the latest value, and receivers notice gaps."""
-        return Publisher(
-            ext.declare_advanced_publisher(
-                self._open(),
-                key,
-                encoding=zenoh.Encoding(encoding),
-                cache=ext.CacheConfig(1),
-                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
-                publisher_detection=True,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
+        session = self._open()
+        made = ext.declare_advanced_publisher(
+            session,
+            key,
+            encoding=zenoh.Encoding(encoding),
+            cache=ext.CacheConfig(1),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
+            publisher_detection=True,
+            congestion_control=zenoh.CongestionControl.DROP,
         )
+        return Publisher(session, made)
 
     def subscribe_state(self, key: str) -> Subscription:
         """Receive a state: only the latest value waits; `missed` counts values that were lost on the way."""

@@ -16,6 +16,7 @@ from eia_sec.common.errors import BusClosedError, BusError, CancelledError, Endp
 from eia_sec.common.transport import bus as bus_module
 from eia_sec.common.transport.bus import Bus, Incoming, Sample, Server, Subscription
 from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
+from eia_sec.common.transport.zenoh_config import connecting, document
 
 SECONDS = 10.0
 
@@ -158,6 +159,29 @@ def test_a_late_joiner_gets_the_latest_state(pair: tuple[Bus, Bus]) -> None:
         return b"6" if newest and newest[-1] == b"6" else None
 
     until(poll)
+
+
+def test_what_is_published_says_when_and_what_it_is(pair: tuple[Bus, Bus], endpoint: Endpoint) -> None:
+    """A subscriber of anybody's sees the sender's time and the encoding, of states and of puts."""
+    listener, _ = pair
+    with zenoh.open(zenoh.Config.from_json5(document(connecting(endpoint, "control")))) as stranger:
+        seen = stranger.declare_subscriber("test/**", zenoh.handlers.FifoChannel(16))
+        state, put = listener.publish_state("test/state", "text/a"), listener.publish("test/put", "text/b")
+        found = {}
+
+        def arrived() -> bool | None:
+            state.put(b"")
+            put.put(b"")
+            while (sample := seen.try_recv()) is not None:
+                found[str(sample.key_expr)] = sample.encoding, sample.timestamp.get_time().timestamp()
+            return len(found) == 2 or None
+
+        until(arrived)
+    assert {key: str(encoding) for key, (encoding, _) in found.items()} == {
+        "test/state": "text/a",
+        "test/put": "text/b",
+    }
+    assert all(abs(at - time.time()) < 30.0 for _, at in found.values())
 
 
 def test_presence_comes_and_goes(pair: tuple[Bus, Bus], endpoint: Endpoint) -> None:
