@@ -104,9 +104,9 @@ class RunDirectory:
         require_no_links(self.path)
         held = self.path / CONFIG
         if held.exists():
-            self._compare(read_saved(held), config, resume=resume)
             if not resume and (self.path / METRICS).exists():
                 raise RunDirError(f"{self.path} already holds a run; add --resume or choose another --run-dir.")
+            self._compare(read_saved(held), config, resume=resume)
             return
         if resume:
             raise RunDirError(f"{self.path} holds no run to resume.")

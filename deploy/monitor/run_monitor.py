@@ -295,7 +295,7 @@ class RunMonitor:
             found.append(f"{ledger['lost']} environment steps were lost with processes that died.")
         if ledger.get("rejected") or learner.get("malformed"):
             found.append(
-                f"{ledger.get('refused', 0)} chunks were refused and {learner.get('malformed', 0)} requests dropped."
+                f"chunks refused: {ledger.get('refused', 0)}; requests dropped: {learner.get('malformed', 0)}."
             )
         if learner.get("replaced"):
             found.append(f"{learner['replaced']} requests came from starts of workers that have been replaced.")

@@ -36,7 +36,7 @@ def bars(values: Sequence[float], width: int, *, ascii_only: bool = False) -> st
 
 @dataclass(frozen=True)
 class Sparkline:
-    """A rich renderable of a series, between the values of its lowest and its highest bar where there is room.
+    """A rich renderable of a series, and the values of its lowest and its highest bar where there is room.
 
     Attributes:
         values: the series, oldest first.
@@ -55,14 +55,14 @@ class Sparkline:
         heights, low, high = buckets(self.values, width), "", ""
         if len(heights) > 1:
             # Fewer bars are means of more values, so the ends are those of the bars that are drawn.
-            room = width - max(len(f"{value:,.{self.digits}f}") for value in (min(heights), max(heights))) * 2 - 2
+            room = width - max(len(f"{value:,.{self.digits}f}") for value in (min(heights), max(heights))) * 2 - 3
             if room >= LEAST_BARS:
                 heights = buckets(self.values, room)
                 low, high = (f"{value:,.{self.digits}f}" for value in (min(heights), max(heights)))
                 width = room
         drawn = bars(self.values, width, ascii_only=options.ascii_only)
-        parts = [(f"{low} ", "dim"), (drawn, self.style), (f" {high}", "dim")] if low else [(drawn, self.style)]
-        yield Text.assemble(*parts, no_wrap=True)
+        scale = f" {low}..{high}" if low else ""
+        yield Text.assemble((drawn, self.style), (scale, "dim"), no_wrap=True)
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         return Measurement(min(4, options.max_width), min(self.widest, options.max_width))

@@ -16,6 +16,7 @@ from eia_sec.common.policy_file import POLICY, UNTRAINED, load_policy
 from eia_sec.common.protocol.metrics import scalars
 from eia_sec.deploy.local.code_options import code_options
 from eia_sec.deploy.local.run_directory import METRICS, RunDirectory
+from eia_sec.deploy.program import program
 from eia_sec.deploy.progress import part, progress
 from eia_sec.deploy.reports.comparison_tables import comparison_table, counted, scenario_word
 from eia_sec.deploy.reports.film import find_ffmpeg
@@ -114,14 +115,14 @@ def shown(results: Sequence[Evaluation], references: Sequence[str]) -> list[Eval
 def next_commands(path: Path, config: RunConfig) -> list[str]:
     """Return what to type after a run, each with what it is for."""
     run, code = shlex.quote(str(path)), " ".join(shlex.quote(word) for word in code_options(config))
-    end = f" {code}" if code else ""
-    found = [(f"eia-sec evaluate --run-dir {run}{end}", f"on more {scenario_word(config)}s: --farms 1000:1100")]
+    end, called = f" {code}" if code else "", program()
+    found = [(f"{called} evaluate --run-dir {run}{end}", f"on more {scenario_word(config)}s: --farms 1000:1100")]
     if farm_of(config) is not None:
         try:
             find_ffmpeg()
-            found.insert(0, (f"eia-sec replay {run}{end}", "a film, in about a minute"))
+            found.insert(0, (f"{called} replay {run}{end}", "a film, in about a minute"))
         except UsageError:
-            found.insert(0, (f"eia-sec replay {run}{end} --film none", "a picture of all paths"))
+            found.insert(0, (f"{called} replay {run}{end} --film none", "a picture of all paths"))
     width = max(len(typed) for typed, _ in found)
     return [f"  {typed:<{width}}   # {why}" for typed, why in found]
 

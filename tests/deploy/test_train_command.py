@@ -75,6 +75,21 @@ def test_the_hint_how_to_resume_names_what_no_configuration_holds(tmp_path):
     assert resume_command(shared, tmp_path) == f"{begun} --shared-memory --env games:make"
 
 
+@pytest.mark.parametrize(
+    ("called", "found", "shown"),
+    [
+        (".venv/bin/eia-sec", False, ".venv/bin/eia-sec"),
+        (".venv/bin/eia-sec", True, "eia-sec"),
+        ("script.py", False, "eia-sec"),
+    ],
+)
+def test_commands_that_are_shown_can_be_typed(monkeypatch, called, found, shown):
+    """After `make train` no folder of PATH has the program; a script of the user's is not it."""
+    monkeypatch.setattr("sys.argv", [called])
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}" if found else None)
+    assert resume_command(TrainArguments(settings=RunConfig()), Path("run")) == f"{shown} train --run-dir run --resume"
+
+
 def test_commands_that_are_shown_name_plugins():
     """`--plugin` was taken from the command line, and no configuration may choose what is loaded."""
     named = TrainArguments(workers=1, settings=replace(RunConfig(), plugins=PluginNames(("mytask", "other"))))

@@ -120,3 +120,4 @@ def _show(options: MonitorArguments, run: str, stop: StopSignal, bus: Bus, serve
     finally:
         if live is not None:
             live.stop()
+            console.print(live.renderable)  # the screen goes with the view; what it showed last stays

@@ -79,7 +79,12 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _serve(source: Source, hub: Hub, server: WebServer, stop: StopSignal) -> None:
+    said = False
     while not stop.event.wait(TICK_SECONDS):
+        if source.ended and not said:
+            sys.stdout.write("the run has ended; the page shows what it had; Ctrl-C ends this command.\n")
+            sys.stdout.flush()
+        said = source.ended
         if server.failed:
             raise EiaSecError("the web server has ended: too many files are open. Start eia-sec watch again.")
         source.tend(hub.seats > 0)

@@ -37,6 +37,7 @@ from eia_sec.deploy.monitor.run_monitor import RunMonitor
 from eia_sec.deploy.monitor.tracker import Tracker, TrackerName, client_of
 from eia_sec.deploy.options import PRESET_HELP, base_configuration, parse
 from eia_sec.deploy.output import patient_output
+from eia_sec.deploy.program import program
 from eia_sec.rollout.envs.registry import environment_spec, spec_of_team
 from eia_sec.rollout.start_policy import StartParameters, start_parameters, start_sentence
 
@@ -169,7 +170,8 @@ def _train(
     if not finished:
         if training.stopped:
             console.print(f"a callback stopped the run: {training.stopped}", highlight=False, markup=False)
-        console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
+        again = resume_command(options, directory.path)
+        console.print(f"stopped; resume with: {again}", highlight=False, soft_wrap=True)
     elif options.report and not served:  # a robot moves only as long as it was asked to
         from eia_sec.deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
@@ -177,7 +179,7 @@ def _train(
         if tracker is not None:
             tracker.log_scalars(found)
     else:
-        again = shlex.join(["eia-sec", "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
+        again = shlex.join([program(), "evaluate", "--run-dir", str(directory.path), *code_options(options.settings)])
         own = "" if options.tls is None else f" --tls {options.tls / LEARNER}"
         where = f" --endpoint {plan.endpoint}{own}" if served else ""
         console.print(f"finished; evaluate with: {again}{where}", highlight=False, soft_wrap=True)
@@ -224,7 +226,7 @@ def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
     lines = [f"run directory: {run}; to watch {watched} from another terminal:"]
     for reader, where in READERS.items():
         own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        lines.append(f"  eia-sec {reader} {shlex.quote(str(shown))}{own}{where}")
+        lines.append(f"  {program()} {reader} {shlex.quote(str(shown))}{own}{where}")
     return lines
 
 
@@ -306,7 +308,7 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more += " --shared-memory" if options.shared_memory else ""
     more += "" if options.track is None else f" --track {options.track}"
     named = [shlex.quote(word) for word in code_options(options.settings)]
-    return " ".join([f"eia-sec train --run-dir {run} --resume{more}", *named])
+    return " ".join([f"{program()} train --run-dir {run} --resume{more}", *named])
 
 
 def worker_count(options: TrainArguments) -> int:

@@ -138,10 +138,17 @@ class Source:
     def _called(self, name: str) -> str:
         return f"{'Flight node' if name in self._flights else 'Worker'} {name}"
 
+    @property
+    def ended(self) -> bool:
+        """Whether the run was there, and nothing of it is now."""
+        return self._met and not (self._learners or self._shown_by)
+
     def _absent(self) -> str:
         """Return why there is nobody to watch."""
+        if self.ended:
+            return f"Run {self._run} has ended."
         if not (self._learners or self._shown_by):
-            return f"Run {self._run} has ended." if self._met else f"Waiting for run {self._run}: none of it is there."
+            return f"Waiting for run {self._run}: none of it is there."
         return f"Waiting for {f'worker {self._wanted}' if self._wanted else 'a worker'} of run {self._run}."
 
     def _keep_asking(self, worker: str, now: float) -> None:

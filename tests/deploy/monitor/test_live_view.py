@@ -165,15 +165,15 @@ def test_the_end_is_never_exceeded():
     )
 
 
-def test_a_curve_stands_between_its_lowest_and_its_highest_value():
+def test_a_curve_is_followed_by_its_lowest_and_its_highest_value():
     """Where there is room; the values are those of the bars. In a narrow place the bars are alone."""
     texts = {}
     for width in (30, 12):
         output = io.StringIO()
         Console(width=width, file=output).print(Sparkline(tuple(map(float, range(1000, 1300))), digits=0))
         texts[width] = output.getvalue().strip()
-    low, drawn_bars, high = texts[30].split()
-    assert (low, drawn_bars[0], drawn_bars[-1], high) == ("1,008", "▁", "█", "1,291")
+    drawn_bars, scale = texts[30].split()
+    assert (drawn_bars[0], drawn_bars[-1], scale) == ("▁", "█", "1,008..1,290")
     assert len(texts[30]) == 30
     assert texts[12] == bars(tuple(map(float, range(300))), 12)
 

@@ -7,11 +7,12 @@ import { Steps } from "./steps.js";
 import { listen } from "./stream.js";
 
 const past = new Past();
-const view = { scene: null, shown: null, field: null, head: 0, playing: true, drawn: "", losses: {}, dropped: 0, came: 0 };
+const view = { scene: null, shown: null, field: null, head: 0, playing: true, drawn: "", losses: {}, dropped: 0, came: 0, settles: 0 };
 const TEXT_MS = 100; // numbers change this often at most, so that they can be read
 const NOTICE_MS = 8000;
 const STILL_MS = 2000; // time without a frame after which the page says since when
 const LIVE = 5; // steps behind that nobody notices
+const SETTLES_MS = 500; // time in which a page that has been opened gets what was before it
 const MOST_BEHIND = 1500; // steps, of the 2,048 that are kept
 let theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 
@@ -55,7 +56,11 @@ const takers = {
     const first = !past.frames.length;
     view.came = performance.now();
     past.add(packet);
-    if (first) tellState();
+    if (first) {
+      tellState();
+      view.settles = view.came + SETTLES_MS;
+    }
+    if (view.playing && view.came < view.settles) view.head = past.beginOf(past.last); // the newest episode
   },
   state(packet) {
     view.losses = packet;
