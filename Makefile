@@ -86,7 +86,7 @@ $(READY): pyproject.toml constraints.txt
 	@"$(PYTHON)" -m venv $(VENV)
 	@$(PIPE); $(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling | { $(PIP_LINE); }
 	@$(PIPE); $(PIP) --no-build-isolation --editable '.[dev,export,mavlink,px4,record]' | { $(PIP_LINE); }
-	@echo "Compiling the simulator once, so that no process has to: about a minute."
+	@echo "Compiling the simulator once, so that no process has to: two minutes or more."
 	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from eia_sec.common.config import FarmConfig; from eia_sec.rollout.sim.batch import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)

@@ -305,7 +305,7 @@ class RunMonitor:
             found.append(f"{timeouts} calls of environments took longer than env.step_timeout; workers were replaced.")
         missed = sum(seen.missed for seen in self._reports.values())
         if missed:
-            found.append(f"{missed} metric messages did not reach this view.")
+            found.append(f"{missed} metric messages did not reach this view; the run misses nothing.")
         if self._malformed:
             found.append(f"{self._malformed} metric messages were malformed.")
         return tuple(found)

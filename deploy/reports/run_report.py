@@ -55,6 +55,7 @@ def write_report(
     references = reference_policies(config)
     title = f"{path.name}: {config.algorithm.name}, seed {config.seed}"
     levels = {result.policy: result.total.reward for result in results if result.policy in references}
+    console.print("drawing pictures ...", highlight=False)
     curves(metrics, path / "curves.png", levels, results[0].environment.episode_metrics, title)
     pictures = ["curves.png"]
     if farm is not None:
@@ -108,7 +109,8 @@ def shown(results: Sequence[Evaluation], references: Sequence[str]) -> list[Eval
     order = [f"{name}{drawn}" for name in (*BEGINNINGS, TRAINED) for drawn in ("", SAMPLED)]
     own = sorted((one for one in results if one.policy in order), key=lambda one: order.index(one.policy))
     best = max((one for one in results if one.policy in references), key=lambda one: one.total.reward)
-    named = replace(best, policy="random actions" if len(references) == 1 else f"best heuristic:\n{best.policy}")
+    heading = f"best of {len(references)} heuristics:\n{best.policy}"
+    named = replace(best, policy="random actions" if len(references) == 1 else heading)
     return [*(replace(one, policy=one.policy.replace(TRAINED, "trained")) for one in own), named]
 
 
@@ -120,7 +122,7 @@ def next_commands(path: Path, config: RunConfig) -> list[str]:
     if farm_of(config) is not None:
         try:
             find_ffmpeg()
-            found.insert(0, (f"{called} replay {run}{end}", "a film, in about a minute"))
+            found.insert(0, (f"{called} replay {run}{end}", "a film, in about a minute of processor time"))
         except UsageError:
             found.insert(0, (f"{called} replay {run}{end} --film none", "a picture of all paths"))
     width = max(len(typed) for typed, _ in found)

@@ -56,7 +56,7 @@ def test_the_table_has_the_best_heuristic_alone() -> None:
     """Of several references the best one stands beside the run, by its name."""
     rows = [row("this run", 5.0), row("untrained", 4.0), row("greedy", 2.0), row("lawnmower", 3.0)]
     found = run_report.shown(rows, ("greedy", "lawnmower"))
-    assert [one.policy for one in found] == ["untrained", "trained", "best heuristic:\nlawnmower"]
+    assert [one.policy for one in found] == ["untrained", "trained", "best of 2 heuristics:\nlawnmower"]
 
 
 def test_what_the_run_began_as_is_evaluated_where_it_was_kept(tmp_path: Path) -> None:
