@@ -10,7 +10,7 @@ from matplotlib.ticker import EngFormatter
 from eia_sec.deploy.benchmark.page import PICTURES
 from eia_sec.deploy.benchmark.scores import Scores, final
 from eia_sec.deploy.reports.intervals import LEVEL, Interval
-from eia_sec.deploy.reports.plots import DPI, LINES, MARKS, OTHER_COLOURS, TEXT
+from eia_sec.deploy.reports.plots import DPI, TEXT, bare, look
 
 COLUMNS: Final = 3
 """Panels in a row."""
@@ -28,10 +28,9 @@ def curves_figure(scores: Scores) -> Figure:
     figure, panels = _panels(len(environments), 3.4)
     for axes, environment in zip(panels, environments, strict=True):
         for index, algorithm in enumerate(scores.plan.algorithms):
-            colour, line, mark = _look(index)
             steps, (value, low, high) = scores.curve(algorithm, environment)
-            axes.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
-            axes.plot(steps, value, color=colour, linestyle=line, marker=mark, markersize=3.5, label=algorithm)
+            axes.fill_between(steps, low, high, color=look(index)["color"], alpha=0.15, linewidth=0)
+            axes.plot(steps, value, **look(index), markersize=3.5, label=algorithm)
         axes.axhline(scores.random(environment), color="0.4", linestyle=(0, (2, 2)), linewidth=1.0, label="random")
         axes.set_title(environment, loc="left", **TEXT)
         axes.set_xlabel("environment steps")
@@ -62,22 +61,13 @@ def _bars(axes: Axes, names: tuple[str, ...], found: list[Interval | None]) -> N
     """Draw a mark and the bar of its interval in a row for each name."""
     for row, one in enumerate(found):
         assert one is not None  # every policy has an end
-        colour, _, mark = _look(row)
-        axes.plot([one.low, one.high], [row, row], color=colour, linewidth=5, alpha=0.4, solid_capstyle="butt")
-        axes.plot(one.value, row, mark, color=colour, markersize=7)
+        axes.plot(
+            [one.low, one.high], [row, row], color=look(row)["color"], linewidth=5, alpha=0.4, solid_capstyle="butt"
+        )
+        axes.plot(one.value, row, **look(row), markersize=7)
     axes.set_yticks(range(len(names)), list(names))
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(names) - 0.5, -0.5)
-
-
-def _look(index: int) -> tuple[str, object, str]:
-    """Return colour, line and mark of an algorithm; past the last colour, the first one has another line and mark."""
-    turn = index // len(OTHER_COLOURS)
-    return (
-        OTHER_COLOURS[index % len(OTHER_COLOURS)],
-        LINES[(index + turn) % len(LINES)],
-        MARKS[(index + turn) % len(MARKS)],
-    )
 
 
 def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -92,8 +82,7 @@ def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
 
 def _finished(figure: Figure, panels: list[Axes], scores: Scores, label: str) -> Figure:
     for axes in panels:
-        axes.grid(True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
+        bare(axes)
     panels[0].set_ylabel(label)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, **TEXT)
     seeds = scores.plan.seeds

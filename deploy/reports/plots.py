@@ -39,7 +39,7 @@ DPI: Final = 150
 OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LINES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKS: Final = ("o", "s", "^", "D", "v", "P")
-"""Of curves and points, so that they are told apart without colours, too."""
+"""Of curves and points, so that they are told apart without colours, too; `look` puts them together."""
 COMPARISON_DPI: Final = 220
 """Higher than DPI, because maps side by side are small."""
 SMALL: Final = 0.7
@@ -111,10 +111,29 @@ def curves_figure(
     lower.set_xlabel("training episodes")
     lower.set_ylabel(", ".join(dict.fromkeys(metric.unit for metric in shown or [LENGTH])))
     for axes in panels:
-        axes.grid(True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
+        bare(axes)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=5, frameon=False, **TEXT)
     return figure
+
+
+def look(index: int) -> dict[str, Any]:
+    """Return colour, line and mark of one of many series, as `Axes.plot` takes them.
+
+    Past the last colour the first one comes again with another line, and line and mark are no pair that was there.
+    """
+    turn = index // len(OTHER_COLOURS)
+    return {
+        "color": OTHER_COLOURS[index % len(OTHER_COLOURS)],
+        "linestyle": LINES[(index + turn) % len(LINES)],
+        "marker": MARKS[(index + 2 * turn) % len(MARKS)],
+    }
+
+
+def bare(axes: Axes) -> None:
+    """Give a panel a faint grid below what is drawn, and two spines."""
+    axes.set_axisbelow(True)
+    axes.grid(True, color="0.9")
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def trajectories(trajectory: Trajectory, path: Path, title: str = "") -> None:

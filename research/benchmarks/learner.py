@@ -48,6 +48,7 @@ from eia_sec.common.farm import farm_team  # noqa: E402  (as above)
 from eia_sec.common.team import TeamSpec  # noqa: E402  (as above)
 from eia_sec.common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from eia_sec.deploy.exit_codes import run_command  # noqa: E402  (as above)
+from eia_sec.deploy.reports.plots import DPI, TEXT, bare  # noqa: E402  (as above)
 from eia_sec.deploy.reports.provenance import provenance  # noqa: E402  (as above)
 from eia_sec.learner.networks.compiled import usable_cores  # noqa: E402  (as above)
 from eia_sec.learner.off_policy.inputs import critic_width  # noqa: E402  (as above)
@@ -55,14 +56,15 @@ from eia_sec.learner.off_policy.trainer import DIAGNOSTIC_PERIOD, OffPolicyTrain
 from eia_sec.learner.registry import OFF_POLICY  # noqa: E402  (as above)
 from research.benchmarks import on_policy  # noqa: E402  (as above)
 from research.benchmarks.peers.clock import BURST  # noqa: E402  (as above)
+from research.looks import WIDTH, algorithm_look, heading, legend_below  # noqa: E402  (as above)
 
 ABLATION = "base"
 """EIA-SEC without its ensemble."""
 TIMED = ("eia-sec", ABLATION, "maddpg", "matd3", "masac")
 UAVS = (6, 12, 16, 20, 24, 96)
 SEGMENT = 20
-GROWTH_BY = ("agents", "width", "batch")
-"""What an update's growth is measured with, one at a time."""
+GROWTH_BY = {"agents": "agents", "width": "width of both\nhidden layers", "batch": "transitions\nin a batch"}
+"""What an update's growth is measured with, one at a time, and what the picture calls it."""
 GROWTH_ROWS = 8192
 """Rows of the replay buffer there: of the presets' 65,536 those of 96 agents would take 1.6 GB."""
 DEVICES = {"cpu": (512, 400), "cuda": (8192, 50)}
@@ -235,30 +237,41 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join(f"| {row} |" for row in rows) + "\n"
 
 
+def place(line: Line) -> str:
+    """Return on what a line was measured, as words."""
+    cores = line["threads"]
+    return f"{cores} thread{'s' * (cores > 1)}" if line.get("device", "cpu") == "cpu" else str(line["device"])
+
+
 def growth_page(data: dict[str, Any]) -> str:
     """Return the growth as a Markdown page."""
     lines = [line for by in GROWTH_BY for line in data[by]]
-    cores = lines[0]["threads"]
-    where = f"{cores} thread{'s' * (cores > 1)}" if lines[0].get("device", "cpu") == "cpu" else lines[0]["device"]
     timed = f"the least of many bursts of {lines[0]['burst']} updates"
-    return f"Made by `{data['command']}` (commit {data['commit']}); {timed}, {where}.\n\n{table(lines)}"
+    return f"Made by `{data['command']}` (commit {data['commit']}); {timed}, {place(lines[0])}.\n\n{table(lines)}"
 
 
 def draw_growth(data: dict[str, Any], path: Path) -> None:
     """Draw milliseconds against agents, width and batch, and save the picture."""
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
-    axes = figure.subplots(1, len(GROWTH_BY))
-    for axis, by in zip(axes, GROWTH_BY, strict=True):
-        for colour, name in zip(("C0", "C1"), ("eia-sec", "maddpg"), strict=True):
-            own = [line for line in data[by] if line["algorithm"] == name]
+    figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
+    panels = figure.subplots(1, len(GROWTH_BY), sharey=True)
+    for axes, by in zip(panels, GROWTH_BY, strict=True):
+        for name in ("eia-sec", "maddpg"):
+            own, style = [line for line in data[by] if line["algorithm"] == name], algorithm_look(name)
             x = [line[by] for line in own]
-            axis.plot(x, [line["ms"] for line in own], "o-", color=colour, label=name)
-            axis.plot(x, [line["limit_ms"] for line in own], ":", color=colour, label=f"{name}, arithmetic alone")
-        axis.set(xscale="log", yscale="log", xlabel=by, xticks=x, xticklabels=x)
-        axis.minorticks_off()
-    axes[0].set_ylabel("ms per update of all agents")
-    axes[0].legend(fontsize=7)
-    figure.savefig(path, dpi=140)
+            axes.plot(x, [line["ms"] for line in own], label=f"{name.upper()}, measured", markersize=5, **style)
+            hollow = style | {"linestyle": ":", "markerfacecolor": "white", "markersize": 5}
+            axes.plot(x, [line["limit_ms"] for line in own], label=f"{name.upper()}, arithmetic alone", **hollow)
+        axes.set(xscale="log", yscale="log", xlabel=f"{GROWTH_BY[by]}, logarithmic", xticks=x, xticklabels=x)
+        axes.minorticks_off()
+        axes.set_title("\n".join(f"{other} {data[by][0][other]}" for other in GROWTH_BY if other != by), **TEXT)
+        bare(axes)
+    panels[0].yaxis.set_major_formatter("{x:g}")
+    panels[0].set_ylabel("ms for an update of all agents,\nlogarithmic")
+    legend_below(figure, panels, 2)
+    heading(
+        figure, f"An update with one thing growing: the least of many bursts, {place(data[next(iter(GROWTH_BY))][0])}."
+    )
+    figure.savefig(path, dpi=DPI)
 
 
 def show_growth(folder: Path) -> None:

@@ -29,7 +29,7 @@ from eia_sec.common.config.presets import preset
 from eia_sec.rollout.sim.batch import FarmBatch
 from eia_sec.rollout.sim.layout import make_layout
 from eia_sec.rollout.sim.reference.farm import ReferenceFarm
-from research.benchmarks.simulator_page import table, write
+from research.benchmarks.simulator_page import show, table, write
 from research.benchmarks.stages import stage_shares
 
 FARM = preset("study").farm
@@ -59,6 +59,8 @@ class Options:
     """Print JSON."""
     write: Path | None = None
     """Folder for simulator.json, README.md and growth.png."""
+    redraw: bool = False
+    """With --write: only page and picture, from simulator.json."""
     batches: tuple[int, ...] = (1, 8, 32, 128, 512)
     """Batch sizes."""
     repeats: int = 3
@@ -284,6 +286,11 @@ def results(options: Options) -> dict[str, Any]:
 def main() -> None:
     """Measure and print."""
     options = tyro.cli(Options, prog="python -m research.benchmarks.simulator", description=__doc__)
+    if options.redraw:
+        if options.write is None:
+            sys.exit("--redraw takes the folder from --write.")
+        show(json.loads((options.write / "simulator.json").read_text()), options.write)
+        return
     found = results(options)
     sys.stdout.write(json.dumps(found, indent=2) + "\n" if options.json else table(found))
     if options.write:

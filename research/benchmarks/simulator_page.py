@@ -7,7 +7,9 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
+from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS, bare
 from eia_sec.deploy.reports.provenance import provenance
+from research.looks import LEVEL, WIDTH, heading, legend_below
 
 AXES: Final = {
     "uavs": ("UAVs", "on the default field, a third of each type"),
@@ -16,7 +18,6 @@ AXES: Final = {
     "plots": ("plots", "smaller on the default field"),
 }
 """What each growth measurement varies, and how."""
-COLOUR: Final = "#0072B2"
 
 
 def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -72,21 +73,28 @@ def table(found: Mapping[str, Any]) -> str:
 
 def growth_figure(scaling: Mapping[str, Any]) -> Figure:
     """Return the picture: the cost of a step against each size, beside a line that would be proportional."""
-    figure = Figure(figsize=(11.0, 3.2), layout="constrained")
-    for axes, (name, points) in zip(figure.subplots(1, len(scaling)), scaling.items(), strict=True):
+    rows = -(-len(scaling) // 2)
+    figure = Figure(figsize=(WIDTH, 2.6 * rows + 0.8), layout="constrained")
+    panels = figure.subplots(rows, 2, sharey=True, squeeze=False)
+    costs = [point["us_per_step"] for points in scaling.values() for point in points]
+    for axes, (name, points) in zip(panels.flat, scaling.items(), strict=False):
         value, us = [p["value"] for p in points], [p["us_per_step"] for p in points]
-        axes.loglog(value, us, "o-", color=COLOUR)
-        axes.loglog(value, [us[0] * v / value[0] for v in value], "--", color="0.6", label="proportional")
+        axes.loglog(value, us, "o-", color=OTHER_COLOURS[0], markersize=5, label="measured")
+        axes.loglog(value, [us[0] * v / value[0] for v in value], label="proportional to the size", **LEVEL)
         what, how = AXES[name]
-        axes.set_xlabel(what)
-        axes.set_title(how, fontsize=8)
-        axes.set_xticks(value, [f"{v:,}" for v in value], fontsize=7, rotation=45)
+        axes.set_xlabel(f"{what}, logarithmic")
+        axes.set_title(f"{what}: {how}", fontsize=9.5)
+        axes.set_xticks(value, [f"{v:,}" for v in value], fontsize=8)
         axes.minorticks_off()
-        axes.set_ylim(min(us) / 2, max(us) * 4)
-        axes.grid(True, alpha=0.3)
-    first = figure.axes[0]
-    first.set_ylabel("microseconds a step")
-    first.legend(fontsize=7, frameon=False)
+        axes.set_ylim(min(costs) / 2, max(costs) * 2)
+        axes.yaxis.set_major_formatter("{x:g}")
+        bare(axes)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("microseconds a step,\nlogarithmic")
+    for axes in list(panels.flat)[len(scaling) :]:
+        axes.remove()
+    legend_below(figure, panels.flat, 2)
+    heading(figure, "A step of one farm in the compiled simulator, one size growing: time of one core, batches of 8.")
     return figure
 
 
@@ -104,9 +112,14 @@ def growth_table(scaling: Mapping[str, Any]) -> list[str]:
 def write(found: Mapping[str, Any], folder: Path) -> None:
     """Write simulator.json, README.md and, if growth was measured, growth.png."""
     folder.mkdir(parents=True, exist_ok=True)
-    origin = provenance("research.benchmarks.simulator")
-    (folder / "simulator.json").write_text(json.dumps({**origin, **found}, indent=2) + "\n")
-    page = ["# Speed of the simulator", "", f"`{origin['command']}`, commit {origin['commit']}", ""]
+    data = {**provenance("research.benchmarks.simulator"), **found}
+    (folder / "simulator.json").write_text(json.dumps(data, indent=2) + "\n")
+    show(data, folder)
+
+
+def show(found: Mapping[str, Any], folder: Path) -> None:
+    """Write the page and the picture of what simulator.json holds."""
+    page = ["# Speed of the simulator", "", f"`{found['command']}`, commit {found['commit']}", ""]
     page += ["| what | measured |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows(found)), ""]
     if "switches" in found:
         size = found["switches"]["environments"]
@@ -118,7 +131,7 @@ def write(found: Mapping[str, Any], folder: Path) -> None:
         page += ["| switched on | measured |", "|---|---|"]
         page += [f"| {name} | {text} |" for name, text in switch_rows(found["switches"])] + [""]
     if "scaling" in found:
-        growth_figure(found["scaling"]).savefig(folder / "growth.png", dpi=150)
+        growth_figure(found["scaling"]).savefig(folder / "growth.png", dpi=DPI)
         page += ["![The cost of a step against UAVs, sensors and plots](growth.png)", ""]
         page += growth_table(found["scaling"])
     if "parts_us" in found:

@@ -3,7 +3,8 @@
     python -m research.experiments.critic_forms --episodes 160
 
 Every form trains the same run (study preset, same seed, same farms, same noise) inside one process. Written to
-research/results/critic_forms: forms.json with every curve, and forms.png.
+research/results/critic_forms: forms.json with every curve, and forms.png. `--redraw` makes the picture anew from
+forms.json.
 """
 
 import json
@@ -25,8 +26,10 @@ from eia_sec.common.config import RunConfig
 from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.transitions import Chunk
 from eia_sec.deploy.local.in_process import train_in_process
+from eia_sec.deploy.reports.plots import DPI, bare, look
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.learner.trainer import Trainer
+from research.looks import WIDTH, heading, legend_below
 
 PRINTED: Final = {"ensemble_loss": "mixture", "bootstrap": "local", "actor_objective": "local"}
 FORMS: Final[dict[str, dict[str, Any]]] = {
@@ -63,6 +66,8 @@ class Arguments:
     """Folder of the results."""
     forms: tuple[str, ...] = field(default_factory=lambda: tuple(FORMS))
     """The forms."""
+    redraw: bool = False
+    """Draw the picture from the results that are there, and train nothing."""
     alone: bool = False
     """Train only the first form and seed, in this process, and print its curves."""
 
@@ -112,30 +117,36 @@ def train_apart(name: str, seed: int, episodes: int) -> dict[str, Any]:
     return result
 
 
-def draw(results: list[dict[str, Any]], path: Path) -> None:
-    """Draw reward and critic loss of every form against episodes."""
-    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    colours = ("#000000", "#0072B2", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#F0E442")
+def figure(results: list[dict[str, Any]]) -> Figure:
+    """Return the picture of every form's reward, whole and enlarged, and critic loss against episodes."""
+    drawn = Figure(figsize=(WIDTH, 8.4), layout="constrained")
+    whole, enlarged, lower = drawn.subplots(3, 1, sharex=True, height_ratios=(1.0, 1.3, 1.0))
     names = list(dict.fromkeys(result["form"] for result in results))
     for result in results:
         index = names.index(result["form"])
-        style = {"color": colours[index % len(colours)], "linewidth": 2.4 if index == 0 else 1.4}
-        episodes = [point["episodes"] for point in result["curve"]]
-        end = " (diverged)" if result["diverged"] else ""
-        upper.plot(episodes, [p["reward"] for p in result["curve"]], label=result["form"] + end, **style)
+        # Curves that coincide show their marks by turns.
+        style: dict[str, Any] = look(index) | {"markersize": 5, "markevery": (index % 2, 2)}
+        episodes, rewards = zip(*((point["episodes"], point["reward"]) for point in result["curve"]), strict=True)
+        label = result["form"] + (" (diverged)" if result["diverged"] else "")
+        for axes in (whole, enlarged):
+            axes.plot(episodes, rewards, label=label, **style)
         learnt = [point for point in result["curve"] if point["loss"] > 0]
-        lower.plot([point["episodes"] for point in learnt], [point["loss"] for point in learnt], **style)
-        if result["diverged"] and episodes:
-            lower.plot(episodes[-1:], [min(result["curve"][-1]["loss"], 1e12)], "x", color=style["color"], markersize=9)
+        lower.plot([point["episodes"] for point in learnt], [min(point["loss"], 1e12) for point in learnt], **style)
+    enlarged.set_ylim(0.0, 1.05 * max(point["reward"] for result in results for point in result["curve"]))
     lower.set_yscale("log")
-    upper.set_ylabel("training reward per agent")
-    lower.set_ylabel("critic loss")
-    lower.set_xlabel("episodes")
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
-    for axes in (upper, lower):
-        axes.grid(alpha=0.25)
-    figure.savefig(path, dpi=150)
+    whole.set_title("reward, from the first episode on", loc="left", fontsize=10)
+    enlarged.set_title("reward, enlarged above 0", loc="left", fontsize=10)
+    lower.set_title("critic loss, the largest of all agents", loc="left", fontsize=10)
+    for axes in (whole, enlarged):
+        axes.set_ylabel("reward per agent\nand episode")
+    lower.set_ylabel("scaled reward squared,\nlogarithmic")
+    lower.set_xlabel("training episodes")
+    for axes in (whole, enlarged, lower):
+        bare(axes)
+    legend_below(drawn, [whole], 2)
+    seeds = ", ".join(str(seed) for seed in dict.fromkeys(result["seed"] for result in results))
+    heading(drawn, f"Forms of the shared ensemble critic: preset study, seed {seeds}, while training, with noise.")
+    return drawn
 
 
 def main() -> None:
@@ -145,12 +156,15 @@ def main() -> None:
     if arguments.alone:
         sys.stdout.write(json.dumps(train_form(*jobs[0])))
         return
-    with ThreadPoolExecutor(arguments.processes) as pool:
-        results = list(pool.map(lambda job: train_apart(*job), jobs))
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    data = {**provenance("research.experiments.critic_forms"), "results": results}
-    (arguments.output / "forms.json").write_text(json.dumps(data) + "\n", encoding="utf-8")
-    draw(results, arguments.output / "forms.png")
+    path = arguments.output / "forms.json"
+    if not arguments.redraw:
+        with ThreadPoolExecutor(arguments.processes) as pool:
+            results = list(pool.map(lambda job: train_apart(*job), jobs))
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        data = {**provenance("research.experiments.critic_forms"), "results": results}
+        path.write_text(json.dumps(data) + "\n", encoding="utf-8")
+    results = json.loads(path.read_text(encoding="utf-8"))["results"]
+    figure(results).savefig(arguments.output / "forms.png", dpi=DPI)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,18 @@ from eia_sec.common.config.presets import PRESETS
 from eia_sec.common.errors import UsageError
 from eia_sec.common.seeds import stream
 from eia_sec.deploy.commands.policies.evaluate import parse_farms
+from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS, TEXT, bare
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.evaluation import Evaluation, Score, evaluate
 from eia_sec.rollout.heuristics.registry import HEURISTICS, RELAYS
 from eia_sec.rollout.policies import policy_of
+from research.looks import WIDTH, heading, legend_below
 from research.pages.interval_tables import COLUMNS, ranked
 
 RESAMPLES: Final = 10_000
 LEVEL: Final = 0.95
+LEARNED: Final = "trained:instant"
+"""The policy that is no heuristic."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Arguments:
 def contenders() -> list[str]:
     """Return every named policy, and one with the other relays."""
     others = list(RELAYS)[1:]
-    return [*HEURISTICS, "trained:instant", *(f"lawnmower+{relays}" for relays in others)]
+    return [*HEURISTICS, LEARNED, *(f"lawnmower+{relays}" for relays in others)]
 
 
 def interval(values: list[float]) -> list[float]:
@@ -85,20 +89,28 @@ def _field(score: Score, name: str) -> float:
 def draw(data: dict[str, Any], path: Path) -> None:
     """Draw the mean reward of each policy and its interval; who stays far below the others is left to the table."""
     shown = [result for result in ranked(data) if result["reward"][0] > 0.0][::-1]
-    figure = Figure(figsize=(7.0, 0.36 * len(shown) + 1.3), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 0.36 * len(shown) + 1.9), layout="constrained")
     axes = figure.subplots()
     for row, result in enumerate(shown):
         mean, low, high = result["reward"]
-        colour = "tab:orange" if result["policy"] == "trained:instant" else "tab:blue"
-        axes.plot([low, high], [row, row], color=colour, linewidth=3, solid_capstyle="butt", alpha=0.5)
-        axes.plot(mean, row, "o", color=colour, markersize=5)
-        axes.annotate(f"{mean:.0f}", (high, row), xytext=(6, 0), textcoords="offset points", va="center", fontsize=9)
+        learned = result["policy"] == LEARNED
+        colour, mark, label = (OTHER_COLOURS[0], "D", "learned") if learned else ("0.45", "o", "heuristic")
+        axes.plot([low, high], [row, row], "|-", color=colour, markersize=11)
+        axes.plot(mean, row, mark, color=colour, markersize=4.5, label=label)
+        axes.annotate(f"{mean:.0f}", (high, row), xytext=(6, 0), textcoords="offset points", va="center", **TEXT)
     axes.set_yticks(range(len(shown)), [result["policy"] for result in shown])
     axes.margins(x=0.1)
-    axes.set_xlabel(f"reward per agent and episode: mean over {data['farms']} farms, {LEVEL:.0%} bootstrap interval")
-    axes.grid(axis="x", alpha=0.3)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=130)
+    axes.set_xlabel("reward per agent and episode")
+    bare(axes)
+    axes.grid(False, axis="y")
+    legend_below(figure, [axes], 2)
+    rest = ", ".join(result["policy"] for result in ranked(data) if result["reward"][0] <= 0.0)
+    heading(
+        figure,
+        f"One episode on each of the farms {data['first_farm']}..{data['last_farm']}. Mark: mean; bar: {LEVEL:.0%} "
+        "bootstrap interval." + (f"\nBelow 0 and not shown: {rest}." if rest else ""),
+    )
+    figure.savefig(path, dpi=DPI)
 
 
 def fly(arguments: Arguments) -> dict[str, Any]:

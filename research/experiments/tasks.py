@@ -4,7 +4,7 @@
     python -m research.experiments.tasks half_cheetah --seeds 2
 
 Each seed is one `eia-sec train`: learner, coordinator and worker as processes. Written to research/results/tasks/TASK:
-results.json, curves.png and config.toml.
+results.json, curves.png and config.toml. `--redraw` makes the picture anew from results.json.
 """
 
 import json
@@ -19,11 +19,13 @@ from typing import Any, Final
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from eia_sec.deploy.local.run_directory import CONFIG, METRICS
-from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS, smooth
+from eia_sec.deploy.reports.plots import DPI, bare, smooth
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.deploy.reports.run_report import read_metrics
+from research.looks import LEVEL, WIDTH, algorithm_look, heading, legend_below, numbered_looks
 
 POINTS: Final = 200
 """Points of a curve that are kept."""
@@ -76,6 +78,8 @@ class Arguments:
     """Seeds, from 0 on."""
     output: Path = Path("research/results/tasks")
     """Folder under which the task's own folder is made."""
+    redraw: bool = False
+    """Draw the picture from the results that are there, and train nothing."""
 
 
 def train(task: Task, seed: int, folder: Path) -> dict[str, Any]:
@@ -106,25 +110,33 @@ def train(task: Task, seed: int, folder: Path) -> dict[str, Any]:
 
 
 def picture(task: Task, results: list[dict[str, Any]]) -> Figure:
-    """Return training reward against environment steps: every seed, their mean, and what random actions earn."""
-    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
-    axes = figure.subplots()
+    """Return training reward against environment steps: the mean, and every seed in a panel of its own if several."""
+    several = len(results) > 1
+    figure = Figure(figsize=(WIDTH, 3.9), layout="constrained")
+    panels = figure.subplots(1, 1 + several, sharey=True, squeeze=False)[0]
     end = min(result["curve"]["environment_steps"][-1] for result in results)
     grid = np.linspace(min(result["curve"]["environment_steps"][0] for result in results), end, POINTS)
     curves = [np.interp(grid, r["curve"]["environment_steps"], r["curve"]["reward"]) for r in results]
-    for curve in curves:
-        axes.plot(grid, curve, color=OTHER_COLOURS[0], alpha=0.35, linewidth=1.0)
-    axes.plot(
-        grid, np.mean(curves, axis=0), color=OTHER_COLOURS[0], linewidth=2.2, label=f"mean of {len(curves)} seeds"
-    )
+    colour = algorithm_look("eia-sec")["color"]
+    panels[0].plot(grid, np.mean(curves, axis=0), color=colour, linewidth=2.0, label="training, with noise")
+    panels[0].set_title(f"mean of {len(results)} seeds" if several else f"seed {results[0]['seed']}", fontsize=10)
+    if several:
+        panels[1].set_title("each seed", fontsize=10)
+        for curve, result, style in zip(curves, results, numbered_looks(len(results)), strict=True):
+            panels[1].plot(grid, curve, linewidth=1.4, label=f"training, seed {result['seed']}", **style)
     finals = [[e["reward"]["mean"] for e in r["evaluations"]] for r in results]
     trained, chance = np.mean(finals, axis=0)
-    axes.axhline(trained, color=OTHER_COLOURS[2], linestyle="-.", label="trained, without noise, unseen scenarios")
-    axes.axhline(chance, color="0.4", linestyle="--", label="random actions")
-    axes.set(xlabel="environment steps", ylabel="reward of an episode, per agent", title=task.title)
-    axes.grid(True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=9, loc="lower right")
+    panels[0].axhline(
+        trained, color=colour, linestyle="-.", linewidth=1.4, label="trained: without noise, unseen scenarios"
+    )
+    panels[0].axhline(chance, label="random actions", **LEVEL)
+    for axes in panels:
+        axes.set_xlabel("environment steps")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        bare(axes)
+    panels[0].set_ylabel("reward per agent and episode")
+    legend_below(figure, panels, 2 if several else 3)
+    heading(figure, f"EIA-SEC on {task.title}")
     return figure
 
 
@@ -134,6 +146,10 @@ def main() -> None:
     if arguments.task not in TASKS:
         sys.exit(f"there is no task {arguments.task!r}; the tasks are {', '.join(TASKS)}.")
     task, output = TASKS[arguments.task], arguments.output / arguments.task
+    if arguments.redraw:
+        data = json.loads((output / "results.json").read_text(encoding="utf-8"))
+        picture(task, data["results"]).savefig(output / "curves.png", dpi=DPI)
+        return
     output.mkdir(parents=True, exist_ok=True)
     record, results = provenance("research.experiments.tasks"), []
     with tempfile.TemporaryDirectory() as scratch:

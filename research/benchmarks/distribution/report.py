@@ -6,9 +6,10 @@ from typing import Any, Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eia_sec.deploy.reports.plots import OTHER_COLOURS
+from eia_sec.deploy.reports.plots import TEXT, bare
 from research.benchmarks.distribution.summary import summary
 from research.benchmarks.peers.report import table
+from research.looks import LEVEL, WIDTH, heading, numbered_looks
 
 Line = dict[str, Any]
 TEMPLATE: Final = Path(__file__).with_name("page.md")
@@ -71,14 +72,21 @@ def _shares(line: Line) -> list[str]:
 
 def picture(data: Line) -> Figure:
     """Return speed-up against workers, and the reward of the first seed against time."""
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.7), layout="constrained")
     left, right = figure.subplots(1, 2)
     _speedup(left, summary(data["runs"]))
     _curves(right, data)
-    for axes in (left, right):
-        axes.grid(True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    for axes, columns in ((left, 1), (right, 2)):
+        bare(axes)
+        axes.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=columns, handlelength=3.2, frameon=False, **TEXT
+        )
+    task = data["task"]
+    heading(
+        figure,
+        f"IPPO on MPE's simple_line, whose steps take {1000 * task['period']:.0f} ms, until the mean reward of "
+        f"{task['window']} episodes is {task['reward']:g}.",
+    )
     return figure
 
 
@@ -88,24 +96,32 @@ def _named(workers: int) -> str:
 
 def _speedup(axes: Axes, lines: list[Line]) -> None:
     workers = [line["workers"] for line in lines]
-    axes.plot(workers, workers, "--", color="0.5", label="linear")
-    for colour, name, label in (
-        (OTHER_COLOURS[0], "speedup", "time to the reward"),
-        (OTHER_COLOURS[2], "steps_speedup", "environment steps a second"),
+    axes.plot(workers, workers, label="as many times as workers", **LEVEL)
+    for name, label, style in (
+        ("speedup", "time to the reward", {"color": "0.0", "marker": "o", "linestyle": "-"}),
+        ("steps_speedup", "environment steps a second", {"color": "0.45", "marker": "s", "linestyle": ":"}),
     ):
         known = [line for line in lines if line[name] is not None]
-        axes.plot([line["workers"] for line in known], [line[name] for line in known], "o-", color=colour, label=label)
-    axes.set(xscale="log", yscale="log", xlabel="workers", ylabel="times as fast as one worker")
+        axes.plot([line["workers"] for line in known], [line[name] for line in known], label=label, **style)
+    axes.set(
+        xscale="log", yscale="log", xlabel="workers, logarithmic", ylabel="times as fast as one worker, logarithmic"
+    )
     axes.set_xticks(workers, labels=[str(number) for number in workers])
     axes.set_yticks(workers, labels=[str(number) for number in workers])
     axes.minorticks_off()
+    seeds = max(line["seeds"] for line in lines)
+    axes.set_title(f"speed-up, {f'median of {seeds} seeds' if seeds > 1 else '1 seed'}", fontsize=10)
 
 
 def _curves(axes: Axes, data: Line) -> None:
     numbers = sorted({run["workers"] for run in data["runs"]})
-    for place, workers in enumerate(numbers):
+    for workers, style in zip(numbers, numbered_looks(len(numbers)), strict=True):
         run = next(run for run in data["runs"] if run["workers"] == workers)
         seconds, _, reward = zip(*run["curve"], strict=True)
-        axes.plot(seconds, reward, color=OTHER_COLOURS[place % len(OTHER_COLOURS)], label=_named(workers))
-    axes.axhline(data["task"]["reward"], color="0.4", linestyle=":", label="the fixed reward")
-    axes.set(xscale="log", xlabel="seconds since the first transition", ylabel="reward of an episode, per agent")
+        axes.plot(seconds, reward, label=_named(workers), **style)
+    axes.axhline(data["task"]["reward"], label="the fixed reward", **LEVEL)
+    axes.set(
+        xscale="log", xlabel="seconds since the first transition,\nlogarithmic", ylabel="reward per agent and episode"
+    )
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_title(f"while training, seed {data['runs'][0]['seed']}", fontsize=10)

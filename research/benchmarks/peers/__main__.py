@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from eia_sec.common.errors import EiaSecError
+from eia_sec.deploy.reports.plots import DPI
 from eia_sec.deploy.reports.provenance import provenance
 from research.benchmarks.peers import report
 from research.benchmarks.peers.catalogue import OURS, PROGRAMS, ROOT, SUBJECTS, Program
@@ -107,7 +108,7 @@ def write(result: dict[str, Any], folder: Path) -> None:
 
 def show(result: dict[str, Any], folder: Path) -> None:
     """Write the picture and the page's generated part."""
-    report.draw(result, folder / "peers.png")
+    report.figure(result).savefig(folder / "peers.png", dpi=DPI)
     page = folder / "README.md"
     text = page.read_text(encoding="utf-8") if page.is_file() else "# Side by side\n\n" + "\n".join(report.MARKS) + "\n"
     page.write_text(report.refreshed(text, result), encoding="utf-8")

@@ -1,6 +1,6 @@
 """What MADDPG and MATD3 reach on simple_spread: ours, run as the distributed system, beside AgileRL and BenchMARL.
 
-    python -m research.benchmarks.peers.learning [--write research/results/spread] [--seeds 5] [--json]
+    python -m research.benchmarks.peers.learning [--write research/results/spread [--redraw]] [--seeds 5] [--json]
 
 Every program gets the same environment (mpe2 simple_spread_v3, three agents), environment steps, updates, batch,
 width, discount, target rate and exploration noise, and the same tuning: the learning rate of actors and critics is the
@@ -21,13 +21,14 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 from scipy.stats import bootstrap
 
 from eia_sec.common.errors import EiaSecError
 from eia_sec.common.seeds import derive
 from eia_sec.deploy.local.run_directory import METRICS
 from eia_sec.deploy.local.threads import thread_environment
-from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS
+from eia_sec.deploy.reports.plots import DPI, bare
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.deploy.reports.run_report import read_metrics
 from eia_sec.rollout.evaluation import episode_seed
@@ -35,6 +36,7 @@ from research.benchmarks.peers.catalogue import ROOT, Program
 from research.benchmarks.peers.report import table
 from research.benchmarks.peers.spread import EPISODE_STEPS, NOISE, curve
 from research.benchmarks.peers.venvs import interpreter, provide
+from research.looks import WIDTH, heading, legend_below, program_look
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
 """Learning rates that are tried for every program at first."""
@@ -262,26 +264,35 @@ def page(runs: Sequence[Line]) -> str:
 
 def picture(runs: Sequence[Line]) -> Figure:
     """Return training reward, with exploration noise, against environment steps: mean over seeds and their range."""
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
     algorithms = sorted({run["algorithm"] for run in runs})
-    colours = dict(zip((*OURS, *(program.name for program, _ in PEERS)), OTHER_COLOURS, strict=False))
-    for axes, algorithm in zip(
-        figure.subplots(1, len(algorithms), sharey=True, squeeze=False)[0], algorithms, strict=True
-    ):
-        for software, colour in colours.items():
+    panels = figure.subplots(1, len(algorithms), sharey=True, squeeze=False)[0]
+    counts = set()
+    for axes, algorithm in zip(panels, algorithms, strict=True):
+        for software in (*OURS, *(program.name for program, _ in PEERS)):
             mine = [run["curve"] for run in reported(runs, software, algorithm)]
             if not mine:
                 continue
-            grid = np.array(mine[0]["environment_steps"])
+            counts.add(len(mine))
+            grid, style = np.array(mine[0]["environment_steps"]), program_look(software)
             values = np.array([np.interp(grid, c["environment_steps"], c["reward"]) for c in mine])
-            axes.plot(grid, values.mean(0), color=colour, linewidth=2.0, label=f"{software}, {len(mine)} seeds")
-            axes.fill_between(grid, values.min(0), values.max(0), color=colour, alpha=0.15, linewidth=0)
-        axes.set(xlabel="environment steps", title=algorithm.upper())
-        axes.grid(True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9, loc="lower right")
-    figure.axes[0].set_ylabel("reward of a training episode")
+            axes.plot(grid, values.mean(0), label=software, markersize=4.5, markevery=5, **style)
+            axes.fill_between(grid, values.min(0), values.max(0), color=style["color"], alpha=0.15, linewidth=0)
+        axes.set_xlabel("environment steps")
+        axes.set_title(algorithm.upper(), fontsize=10)
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        bare(axes)
+    panels[0].set_ylabel("reward per agent and episode")
+    legend_below(figure, panels, 4)
+    seeds = " or ".join(str(count) for count in sorted(counts))
+    heading(figure, f"MPE's simple_spread, while training, with noise. Line: mean of {seeds} seeds; band: their range.")
     return figure
+
+
+def show(runs: Sequence[Line], folder: Path) -> None:
+    """Write page and picture."""
+    (folder / "README.md").write_text(page(runs), encoding="utf-8")
+    picture(runs).savefig(folder / "curves.png", dpi=DPI)
 
 
 def options() -> argparse.Namespace:
@@ -291,6 +302,7 @@ def options() -> argparse.Namespace:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="keep and continue data, page and picture here")
+    parser.add_argument("--redraw", action="store_true", help="with --write: only page and picture, from results.json")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=50_000)
     parser.add_argument("--every", type=int, default=4)
@@ -307,6 +319,11 @@ def main() -> None:
     session = Session(
         Budget(asked.steps, asked.every, asked.warmup), asked.venvs, asked.write and asked.write / "results.json"
     )
+    if asked.redraw:
+        if not asked.write or not session.runs:
+            sys.exit("--redraw needs --write FOLDER with a results.json of this budget in it.")
+        show(session.runs, asked.write)
+        return
     wanted: list[tuple[str, str, Program | None]] = [
         (name, algorithm, None) for name in OURS for algorithm in ("maddpg", "matd3")
     ]
@@ -322,8 +339,7 @@ def main() -> None:
         sys.exit(2)
     if asked.write:
         session.save()
-        (asked.write / "README.md").write_text(page(session.runs), encoding="utf-8")
-        picture(session.runs).savefig(asked.write / "curves.png", dpi=DPI)
+        show(session.runs, asked.write)
     sys.stdout.write(json.dumps(summary(session.runs), indent=1) + "\n" if asked.json else page(session.runs))
 
 

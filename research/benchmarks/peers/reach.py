@@ -1,6 +1,6 @@
 """How soon a training on the farm earns what the lawnmower does, and parts of it: ours beside two peers' PPO.
 
-    python -m research.benchmarks.peers.reach [--write research/results/reach] [--seeds 3] [--json]
+    python -m research.benchmarks.peers.reach [--write research/results/reach [--redraw]] [--seeds 3] [--json]
 
 Ours is `eia-sec train` as a user starts it: the preset instant, with learner, coordinator and worker as processes of
 their own. The peers train on the same farm as a PettingZoo environment, with the same observations and discrete moves,
@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import RunConfig
 from eia_sec.common.config.presets import PRESETS
-from eia_sec.common.errors import EiaSecError
+from eia_sec.common.errors import EiaSecError, UsageError
 from eia_sec.common.farm import farm_team
 from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.messages import ParametersMessage
@@ -38,13 +38,14 @@ from eia_sec.common.transport.endpoint import Endpoint, free_endpoint
 from eia_sec.deploy.commands.training.train import RUN
 from eia_sec.deploy.exit_codes import run_command
 from eia_sec.deploy.local.threads import allowed_cores, thread_environment
-from eia_sec.deploy.reports.plots import DPI, OTHER_COLOURS
+from eia_sec.deploy.reports.plots import DPI, bare
 from eia_sec.deploy.reports.provenance import provenance
 from eia_sec.rollout.policies import ActorPolicy, policy_of
 from research.benchmarks.peers.catalogue import ROOT, SOURCES, Program
 from research.benchmarks.peers.flights import Point, reward_of
 from research.benchmarks.peers.report import table
 from research.benchmarks.peers.venvs import interpreter, provide
+from research.looks import LEVEL, WIDTH, heading, legend_below, program_look
 
 BAR: Final = "lawnmower"
 PRESET: Final = "instant"
@@ -254,27 +255,37 @@ def page(data: Line) -> str:
 
 
 def picture(data: Line) -> Figure:
-    """Return the reward without noise against the seconds of training, one line for each seed."""
-    figure = Figure(figsize=(7.0, 3.8), layout="constrained")
-    axes = figure.subplots()
+    """Return the reward without noise against the seconds of training: a line for each seed, beside ours."""
     names = list(dict.fromkeys(run["software"] for run in data["runs"]))
-    for software, colour in zip(names, OTHER_COLOURS, strict=False):
-        for number, run in enumerate(run for run in data["runs"] if run["software"] == software):
-            seconds, reward = zip(*((point["seconds"], point["reward"]) for point in run["points"]), strict=True)
-            label = software if number == 0 else None
-            axes.plot(seconds, reward, color=colour, marker=".", linewidth=1.6, label=label)
-    axes.axhline(data["bar"], color="0.4", linewidth=1.0, linestyle="--")
-    axes.annotate(BAR, (1.0, data["bar"]), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=9)
-    # Fresh policies of some peers fly out of the field and would take most of the picture.
-    axes.set(
-        xscale="log",
-        ylim=(LEAST_SHARE * data["bar"], 1.06 * data["bar"]),
-        xlabel="seconds since the command",
-        ylabel="reward per agent",
+    algorithms = list(dict.fromkeys(name.rpartition(" ")[2] for name in names if name != OURS))
+    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
+    panels = figure.subplots(1, len(algorithms), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, algorithm in zip(panels, algorithms, strict=True):
+        for run in data["runs"]:
+            software, _, learned = run["software"].rpartition(" ")
+            if run["software"] == OURS or learned == algorithm:
+                seconds, reward = zip(*((point["seconds"], point["reward"]) for point in run["points"]), strict=True)
+                style = program_look(software or OURS)
+                axes.plot(
+                    seconds, reward, label=software or f"{OURS}, {PRESET}", markersize=4.5, markevery=0.08, **style
+                )
+        axes.axhline(data["bar"], label=f"{BAR}, a heuristic", **LEVEL)
+        # Fresh policies of some peers fly out of the field and would take most of the picture.
+        axes.set(
+            xscale="log",
+            ylim=(LEAST_SHARE * data["bar"], 1.06 * data["bar"]),
+            xlabel="seconds since the command, logarithmic",
+        )
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_title(algorithm, fontsize=10)
+        bare(axes)
+    panels[0].set_ylabel("reward per agent and episode")
+    legend_below(figure, panels, 4)
+    heading(
+        figure,
+        f"Without noise on farms {FARMS[0]}..{FARMS[-1]}; a line for each seed.\n"
+        f"{OURS} trains its preset {PRESET}, which is IPPO, and is the same in all panels.",
     )
-    axes.grid(True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=9, loc="lower right")
     return figure
 
 
@@ -285,6 +296,7 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="write data, page and picture here")
+    parser.add_argument("--redraw", action="store_true", help="with --write: only page and picture, from results.json")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=400.0, help="time that ours gets")
     parser.add_argument("--limit", type=float, default=600.0, help="time that a peer gets")
@@ -301,6 +313,11 @@ def write(data: Line, folder: Path) -> None:
     """Write data, page and picture."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    show(data, folder)
+
+
+def show(data: Line, folder: Path) -> None:
+    """Write page and picture."""
     (folder / "README.md").write_text(page(data), encoding="utf-8")
     picture(data).savefig(folder / "curves.png", dpi=DPI)
 
@@ -308,6 +325,11 @@ def write(data: Line, folder: Path) -> None:
 def measure() -> int:
     """Train everything in turn, seed by seed, and write after each seed what is there; print it and return 0."""
     asked = options()
+    if asked.redraw:
+        if not asked.write or not (asked.write / "results.json").is_file():
+            raise UsageError("--redraw needs --write FOLDER with a results.json in it.")
+        show(json.loads((asked.write / "results.json").read_text(encoding="utf-8")), asked.write)
+        return 0
     peers = [program for program in PEERS if not asked.only or program.name in asked.only]
     for program in peers:
         provide(program, asked.venvs, asked.pip_args)

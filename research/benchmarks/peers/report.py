@@ -1,20 +1,18 @@
 """A session's result as Markdown and as a picture."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eia_sec.deploy.reports.plots import TEXT, bare
 from research.benchmarks.peers.clock import BURST
 from research.benchmarks.peers.summary import OURS, PEER_AIMS, cores, learner_aims
+from research.looks import WIDTH, heading, legend_below, program_look
 
 Line = dict[str, Any]
 MARKS: Final = ("<!-- peers:begin -->", "<!-- peers:end -->")
-COLOURS: Final = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00")
-"""One for each program."""
-MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> list[str]:
@@ -162,60 +160,90 @@ def refreshed(text: str, data: dict[str, Any]) -> str:
     return f"{head}{MARKS[0]}\n{block(data)}{MARKS[1]}{tail}"
 
 
-def draw(data: dict[str, Any], path: Path) -> None:
-    """Draw both subjects on one core, as far as they were measured, and save the picture."""
-    subjects = [name for name in ("simulator", "learner") if data[name]]
-    figure = Figure(figsize=(6.0 * len(subjects), 5.6), layout="constrained")
-    axes = figure.subplots(1, len(subjects), squeeze=False)[0]
-    for axis, subject in zip(axes, subjects, strict=True):
-        _panel(axis, [line for line in data[subject] if cores(line) == 1], subject)
-    figure.suptitle(
-        f"One thread of {data['machine']['processor']}; best of {data['plan']['repeats']} interleaved repeats",
-        fontsize=9,
+def figure(data: dict[str, Any]) -> Figure:
+    """Return the picture of both subjects on one core, as far as they were measured.
+
+    Learners have a panel for each algorithm, in which programs are compared.
+    """
+    simulators, learners = ([line for line in data[name] if cores(line) == 1] for name in ("simulator", "learner"))
+    algorithms = list(dict.fromkeys(_learned(line) for line in learners))
+    rows = -(-len(algorithms) // 2)
+    drawn = Figure(figsize=(WIDTH, 3.6 * bool(simulators) + 2.4 * rows + 1.2), layout="constrained")
+    grid = drawn.add_gridspec(bool(simulators) + rows, 2, height_ratios=[1.2] * bool(simulators) + [1.0] * rows)
+    if simulators:
+        axes = drawn.add_subplot(grid[0, :])
+        _simulators(axes, simulators)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.24), ncols=2, handlelength=3.2, frameon=False, **TEXT)
+    panels: list[Axes] = []
+    for panel, algorithm in enumerate(algorithms):
+        shared = panels[0] if panels else None
+        panels.append(drawn.add_subplot(grid[bool(simulators) + panel // 2, panel % 2], sharex=shared, sharey=shared))
+        _learners(panels[-1], [line for line in learners if _learned(line) == algorithm])
+        panels[-1].set_title(f"learners, {algorithm}: lower is better", fontsize=10)
+    for axes in panels[::2]:
+        axes.set_ylabel("ms per update,\nlogarithmic")
+    for axes in panels[-2:]:
+        axes.set_xlabel("width of both hidden layers,\nlogarithmic")
+    if panels:
+        legend_below(drawn, panels, 3)
+    heading(
+        drawn,
+        f"One thread of {data['machine']['processor']}; best of {data['plan']['repeats']} interleaved repeats.\n"
+        "Simulators: a step is one of all agents of one environment, and the worlds differ.\n"
+        "Learners: one gradient step of every one of 12 agents, batch 128, replay sampling included.",
     )
-    figure.savefig(path, dpi=150)
+    return drawn
 
 
-def _panel(axis: Axes, lines: list[Line], subject: str) -> None:
-    across = "environments" if subject == "simulator" else "width"
+def _learned(line: Line) -> str:
+    """Return the algorithm in whose panel a learner's line stands."""
+    name = line["algorithm"].upper()
+    return OURS if name == "BASE" else name
+
+
+def _simulators(axes: Axes, lines: list[Line]) -> None:
+    drawn: set[str] = set()
+    for label, points in _by_label(lines, lambda line: f"{line['software']}: {line['case']}, {line['agents']} agents"):
+        software = points[0]["software"]
+        # The same program in another world has hollow marks.
+        hollow = {"markerfacecolor": "white"} if software in drawn else {}
+        drawn.add(software)
+        _line(axes, points, "environments", label, program_look(software) | hollow)
+    _ticks(axes, lines, "environments")
+    axes.set_xlabel("environments in the batch, logarithmic")
+    axes.set_ylabel("environment steps a second,\nlogarithmic")
+    axes.set_title("simulators: higher is better", fontsize=10)
+
+
+def _learners(axes: Axes, lines: list[Line]) -> None:
+    for label, points in _by_label(lines, _program):
+        form = "base" if points[0]["algorithm"] == "base" else points[0]["form"]
+        _line(axes, points, "width", label, program_look(points[0]["software"], form))
+    _ticks(axes, lines, "width")
+    axes.yaxis.set_major_formatter("{x:g}")
+
+
+def _program(line: Line) -> str:
+    """Return a learner's program and form, as the legend calls them."""
+    form = "base: no ensemble" if line["algorithm"] == "base" else line["form"]
+    return ", ".join(part for part in (line["software"], form) if part)
+
+
+def _by_label(lines: list[Line], label: Callable[[Line], str]) -> list[tuple[str, list[Line]]]:
     curves: dict[str, list[Line]] = {}
     for line in lines:
-        curves.setdefault(_label(line, subject), []).append(line)
-    shown: list[str] = []
-    for label, points in curves.items():
-        points.sort(key=lambda line: line[across])
-        software = points[0]["software"]
-        ours, earlier = software == OURS, shown.count(software)
-        shown.append(software)
-        axis.plot(
-            [line[across] for line in points],
-            [line["best"] for line in points],
-            label=label,
-            color=COLOURS[list(dict.fromkeys(shown)).index(software) % len(COLOURS)],
-            marker=MARKERS[earlier % len(MARKERS)],
-            linestyle="-" if ours else "--",
-            linewidth=2.0 if ours else 1.2,
-            markersize=5,
-        )
-    axis.set_xscale("log", base=2)
-    axis.set_yscale("log")
+        curves.setdefault(label(line), []).append(line)
+    return list(curves.items())
+
+
+def _line(axes: Axes, points: list[Line], across: str, label: str, style: dict[str, Any]) -> None:
+    points.sort(key=lambda line: line[across])
+    axes.plot([p[across] for p in points], [p["best"] for p in points], label=label, markersize=5.5, **style)
+
+
+def _ticks(axes: Axes, lines: list[Line], across: str) -> None:
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
     ticks = sorted({line[across] for line in lines})
-    axis.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
-    simulator = subject == "simulator"
-    axis.set_xlabel("environments in the batch" if simulator else "width of both hidden layers")
-    axis.set_ylabel("environment steps / s (higher is better)" if simulator else "ms per update (lower is better)")
-    axis.set_title(
-        "All agents of one environment = one step.\nThe worlds differ: see the page."
-        if simulator
-        else "One gradient step of every one of 12 agents,\nbatch 128, replay sampling included",
-        fontsize=9,
-    )
-    axis.grid(alpha=0.25)
-    axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
-
-
-def _label(line: Line, subject: str) -> str:
-    if subject == "simulator":
-        return f"{line['software']}, {line['case']}, {line['agents']} agents"
-    parts = (line["software"], line["algorithm"], line["form"])
-    return ", ".join(dict.fromkeys(part for part in parts if part))
+    axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
+    bare(axes)

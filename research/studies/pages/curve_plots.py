@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from eia_sec.common.farm import COLLECTION, COMMUNICATION, MONITORING
 from eia_sec.deploy.reports.intervals import Numbers
-from eia_sec.deploy.reports.plots import LINES, MARKS, OTHER_COLOURS, SMOOTH_SHARE, TEXT, smooth
+from eia_sec.deploy.reports.plots import SMOOTH_SHARE, TEXT, bare, look, smooth
 from eia_sec.rollout.rendering.palette import LABELS
 from research.studies.scales import CHOICE_FARM, SCALES
 
@@ -82,7 +82,7 @@ def checks_figure(data: Results) -> Figure:
         f"and {seeds(data)}; band: range of the seeds."
     )
     # Teams of different sizes are far apart at the end, too, so that nothing would be enlarged.
-    return curves_figure(runs_by_name(data), CHECK_PANELS, evaluated, note, MARKS, enlarged="teams" not in data)
+    return curves_figure(runs_by_name(data), CHECK_PANELS, evaluated, note, marked=True, enlarged="teams" not in data)
 
 
 def curves_figure(
@@ -90,8 +90,8 @@ def curves_figure(
     panels: Mapping[str, Sequence[str]],
     measure: Measure,
     note: str,
-    marks: Sequence[str] = ("",),
     *,
+    marked: bool = False,
     enlarged: bool = True,
 ) -> Figure:
     """Return a panel for each quantity, and another beside it that enlarges what the second half needs.
@@ -101,7 +101,7 @@ def curves_figure(
         panels: where a quantity stands, by its label.
         measure: reads a quantity off runs.
         note: what lines and bands are.
-        marks: marks of the points, one for each method in turn.
+        marked: whether points have marks.
         enlarged: without it there are no panels beside, and those of all quantities stand in one row.
     """
     shape = (len(panels), 2) if enlarged else (1, len(panels))
@@ -110,10 +110,10 @@ def curves_figure(
     for place, (label, path) in enumerate(panels.items()):
         curves = [_curve(name, runs, path, measure) for name, runs in methods.items()]
         whole = grid[place, 0] if enlarged else grid[0, place]
-        _panel(whole, curves, marks, 0.0)
+        _panel(whole, curves, 0.0, marked=marked)
         whole.set_ylabel(label)
         if enlarged:
-            _panel(grid[place, 1], curves, marks, LATE)
+            _panel(grid[place, 1], curves, LATE, marked=marked)
     if enlarged:
         grid[0, 0].set_title("from the first episode on", fontsize=10)
         grid[0, 1].set_title("enlarged to the range of the second half", fontsize=10)
@@ -126,20 +126,18 @@ def curves_figure(
     return figure
 
 
-def _panel(axes: Axes, curves: Sequence[Curve], marks: Sequence[str], late: float) -> None:
+def _panel(axes: Axes, curves: Sequence[Curve], late: float, *, marked: bool) -> None:
     """Draw curves on axes that hold the methods that live; behind a share of the episodes, those alone."""
     for index, curve in enumerate(curves):
         if late == 0.0 or not curve.diverged:
-            _draw(axes, curve, index, marks)
+            _draw(axes, curve, look(index) if marked else look(index) | {"marker": ""})
     axes.set_ylim(*limits(curves, late))
     if late == 0.0:
         for curve, line in zip(curves, list(axes.lines), strict=True):
             if curve.diverged:
                 _mark_exit(axes, curve, str(line.get_color()))
     axes.set_xlim(left=0.0)
-    axes.set_axisbelow(True)
-    axes.grid(True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)
 
 
 def runs_by_name(data: Results) -> dict[str, Sequence[Results]]:
@@ -205,25 +203,13 @@ def _curve(name: str, runs: Sequence[Results], path: Sequence[str], measure: Mea
     return Curve(label, episodes, values, not whole)
 
 
-def _draw(axes: Axes, curve: Curve, index: int, marks: Sequence[str]) -> None:
+def _draw(axes: Axes, curve: Curve, style: Mapping[str, Any]) -> None:
     """Draw the mean over the seeds and their range; a method without points has a line in the legend alone."""
-    turn = index // len(OTHER_COLOURS)  # past the last colour, the first one has another line
-    colour, line = OTHER_COLOURS[index % len(OTHER_COLOURS)], LINES[(index + turn) % len(LINES)]
     mean: Sequence[float] | Numbers = []
     if curve.episodes.size:
         low, high, mean = curve.values.min(axis=0), curve.values.max(axis=0), curve.values.mean(axis=0)
-        axes.fill_between(curve.episodes, low, high, color=colour, alpha=0.15, linewidth=0)
-    mark = marks[(index + turn) % len(marks)]
-    axes.plot(
-        curve.episodes,
-        mean,
-        color=colour,
-        linestyle=line,
-        marker=mark,
-        markersize=3.5,
-        linewidth=1.6,
-        label=curve.label,
-    )
+        axes.fill_between(curve.episodes, low, high, color=style["color"], alpha=0.15, linewidth=0)
+    axes.plot(curve.episodes, mean, **style, markersize=3.5, linewidth=1.6, label=curve.label)
 
 
 def _mark_exit(axes: Axes, curve: Curve, colour: str) -> None:

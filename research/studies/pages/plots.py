@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from eia_sec.deploy.reports.intervals import LEVEL, Numbers
-from eia_sec.deploy.reports.plots import DPI, LINES, MARKS, OTHER_COLOURS, TEXT
+from eia_sec.deploy.reports.plots import DPI, LINES, MARKS, OTHER_COLOURS, TEXT, bare
 from research.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from research.studies.pages.curve_plots import (
     TYPE_PANELS,
@@ -159,7 +159,7 @@ def times_figure(data: Results) -> Figure:
     right.set(yscale="log", xlabel="method")
     right.set_title("12 UAVs", fontsize=10)
     right.margins(x=0.12)
-    _bare(right)
+    bare(right)
     figure.suptitle(_TIMES_NOTE, x=0.01, ha="left", **TEXT)
     return figure
 
@@ -229,7 +229,7 @@ def _beside(axes: Axes, found: Mapping[int, Numbers], paper: Mapping[int, float]
     # Bars have a middle of their own: with few seeds a bootstrap's interval need not hold the value itself, and ratios
     # to a negative reward have their ends the other way round.
     axes.errorbar(x, (low + high) / 2, np.abs(high - low) / 2, fmt="none", color=OTHER_COLOURS[0], capsize=3)
-    _bare(axes)
+    bare(axes)
 
 
 def _times(axes: Axes, teams: Mapping[int, Results]) -> None:
@@ -241,12 +241,7 @@ def _times(axes: Axes, teams: Mapping[int, Results]) -> None:
         axes.plot(x, milliseconds, marker=MARKS[index], color=colour, linestyle=line, label=label)
     axes.set(yscale="log", xlabel="UAVs, logarithmic", ylabel="ms for each time step, logarithmic")
     _logarithmic(axes, sorted({*INFERENCE_BY_UAVS, *x}))
-    _bare(axes)
-
-
-def _bare(axes: Axes) -> None:
-    axes.grid(True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)
 
 
 def _below(figure: Figure, axes: Axes) -> None:
