@@ -1,14 +1,16 @@
 """What many workers cost a router: joining, metrics, progress and parameters, without any environment.
 
-    python -m research.benchmarks.sessions [--workers 100 300 1000] [--write research/results/sessions]
+    python -m research.benchmarks.sessions [--workers 100 300 1000] [--sites 0 2] [--write research/results/sessions]
         [--without progress metrics parameters ...]
 
 One process routes. One stands for the learner: it publishes progress and parameters of the default preset's size at a
 run's paces. Ghost workers declare what a worker declares on its two sessions and report once a second, GHOSTS of them
-in a process. This process watches, as `eia-sec monitor` does. All on one machine, so ghosts and router share its cores.
+in a process. This process watches, as `eia-sec monitor` does. With sites, processes of ghosts are shared out to routers
+that are linked to the first one. All on one machine, so ghosts and routers share its cores.
 `--without` leaves kinds of messages out, to see what each costs.
 """
 
+import itertools
 import json
 import math
 import os
@@ -66,6 +68,8 @@ class Arguments:
 
     workers: tuple[int, ...] = (100, 300, 1000)
     """Numbers of ghost workers."""
+    sites: tuple[int, ...] = (0,)
+    """Numbers of sites with a router of their own, each measured with every number of workers; 0 for none."""
     without: tuple[Kind, ...] = ()
     """What is left out: messages of a kind, or the sessions of the bulk lane."""
     write: Path | None = None
@@ -89,8 +93,8 @@ def main() -> None:
         _ghosts(arguments)
     else:
         results = []
-        for workers in arguments.workers:
-            results.append(measured(workers, arguments.without))
+        for workers, sites in itertools.product(arguments.workers, arguments.sites):
+            results.append(measured(workers, sites, arguments.without))
             sys.stderr.write(json.dumps(results[-1]) + "\n")
         data = {**provenance("research.benchmarks.sessions"), "cores": os.cpu_count(), "results": results}
         if arguments.write is not None:
@@ -98,8 +102,8 @@ def main() -> None:
         sys.stdout.write(json.dumps(data) + "\n")
 
 
-def measured(workers: int, without: tuple[str, ...]) -> dict[str, Any]:
-    """Return the costs of so many workers.
+def measured(workers: int, sites: int, without: tuple[str, ...]) -> dict[str, Any]:
+    """Return the costs of so many workers, at so many sites or, without any, at the one router.
 
     Raises:
         EiaSecError: they have not all joined in time.
@@ -110,39 +114,48 @@ def measured(workers: int, without: tuple[str, ...]) -> dict[str, Any]:
         watcher = opened.enter_context(Bus.connect(endpoint, "control", wait=60.0))
         metrics = watcher.subscribe(keys.METRIC.pattern(RUN), 65_536)
         tokens = watcher.watch(keys.LIVE.pattern(RUN, role="rollout"), 4096)
-        left_out = ["--without", *without] if without else []
-        common = ("research.benchmarks.sessions", "--endpoint", str(endpoint), *left_out)
-        learner = opened.enter_context(_process(*common, "--part", "learner"))
+        places = [free_endpoint() for _ in range(sites)]
+        linked = ("--connect", str(endpoint))
+        beyond = [
+            opened.enter_context(_process("eia_sec.deploy.cli", "router", "--listen", str(place), *linked))
+            for place in places
+        ]
+        common = ("research.benchmarks.sessions", *(("--without", *without) if without else ()))
+        learner = opened.enter_context(_process(*common, "--endpoint", str(endpoint), "--part", "learner"))
         used = _seconds(router)
         ghosts = [
             opened.enter_context(
                 _process(
-                    *common, "--part", "ghosts", "--first", str(first), "--count", str(min(GHOSTS, workers - first))
+                    *(*common, "--endpoint", str(places[number % sites] if sites else endpoint), "--part", "ghosts"),
+                    *("--first", str(first), "--count", str(min(GHOSTS, workers - first))),
                 )
             )
-            for first in range(0, workers, GHOSTS)
+            for number, first in enumerate(range(0, workers, GHOSTS))
         ]
         joining, router_joining = _joined(tokens, workers), _seconds(router) - used
         time.sleep(2.0)
         for _ in metrics.drain():
             pass
-        before = [_seconds(one) for one in (router, learner)]
+        before = [_seconds(one) for one in (router, learner, *beyond)]
         began = time.monotonic()
         time.sleep(STEADY_SECONDS)
         seconds = time.monotonic() - began
         heard, lost = _heard(metrics)
-        used_by = [(_seconds(one) - then) / seconds for one, then in zip((router, learner), before, strict=True)]
+        every = zip((router, learner, *beyond), before, strict=True)
+        used_by = [(_seconds(one) - then) / seconds for one, then in every]
         process = psutil.Process(router.pid)
         descriptors, memory = process.num_fds(), process.memory_info().rss
         delays = np.concatenate([_delays(ghost) for ghost in ghosts])
     known = delays if len(delays) else np.array([math.nan])
     return {
         "workers": workers,
+        "sites": sites,
         "without": list(without),
         "join_seconds": round(joining, 2),
         "router_join_cpu_seconds": round(router_joining, 2),
         "router_cores": round(used_by[0], 3),
         "learner_cores": round(used_by[1], 3),
+        "site_cores": [round(cores, 3) for cores in used_by[2:]],
         "metrics_rate": round(heard / (workers * seconds / REPORT_SECONDS), 3),
         "metrics_lost": round(lost / max(1, heard + lost), 3),
         "router_descriptors": descriptors,

@@ -6,9 +6,11 @@ from research.pages.blocks import table
 
 HEADINGS = (
     "workers",
+    "sites",
     "join, s",
     "router while they join, s of a core",
     "router then, cores",
+    "a site's router, cores",
     "reports a second and worker",
     "of them lost",
     "descriptors",
@@ -33,9 +35,11 @@ def _row(result: dict[str, Any]) -> list[str]:
     delay = result["parameters_seconds"]
     return [
         f"{result['workers']:,}",
+        f"{result['sites']}" if result["sites"] else "-",
         f"{result['join_seconds']:.1f}",
         f"{result['router_join_cpu_seconds']:.1f}",
         f"{result['router_cores']:.2f}",
+        f"{max(result['site_cores']):.2f}" if result["sites"] else "-",
         f"{result['metrics_rate']:.2f}",
         f"{result['metrics_lost']:.1%}",
         f"{result['router_descriptors']:,}",
