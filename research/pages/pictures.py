@@ -20,7 +20,7 @@ from pathlib import Path
 
 from eia_sec.common.actors import TeamActors
 from eia_sec.common.config import EnvConfig, IppoConfig, RunConfig
-from eia_sec.common.config.files import to_toml
+from eia_sec.common.config.files import to_toml, with_values
 from eia_sec.common.config.presets import preset
 from eia_sec.common.config.run import RolloutConfig
 from eia_sec.common.errors import EiaSecError, UsageError
@@ -50,8 +50,8 @@ FILM_STEPS, FILM_EVERY = 240, 10
 FILM_WIDTH, FILM_COLOURS, FILM_MILLISECONDS = 640, 64, 200
 """Its pixels, its colours, and how long a frame stands."""
 PATIENCE = 120.0
-OTHER, OTHER_STEP = "mpe2:simple_spread_v3", 20
-"""An environment that is no farm, and the step of it that the page shows."""
+OTHER, OTHER_RUN, OTHER_STEP = "mpe2:simple_spread_v3", "spread", 20
+"""An environment that is no farm, its run's name, and the step of it that the page shows."""
 FIND = """wanted => { if (!window.watching) return -1;
 const p = watching.past; const step = (n) => n >= p.first && p.at(n) ? p.at(n).step : -1;
 for (let n = p.first; n <= p.last; n++) if (step(n) === wanted && step(n - wanted + 1) === 1) return n;
@@ -128,8 +128,9 @@ def serving(endpoint: Endpoint, run: str) -> Iterator[str]:
 
 
 def farm_page(path: Path) -> None:
-    """Save the page while a worker flies the policy that ships."""
-    _page(path, flying(preset("inertial"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER), STEP)
+    """Save the page while a worker flies the policy that ships, on one farm, so that it never leaves the page waiting."""
+    config = with_values(preset("inertial"), {"rollout.environments": 1})
+    _page(path, flying(config, load_policy(shipped_file(SHOWN))[0], RUN, WORKER), RUN, STEP)
 
 
 def environment_page(path: Path) -> None:
@@ -137,10 +138,10 @@ def environment_page(path: Path) -> None:
     rollout = RolloutConfig(environments=1, chunk_steps=25)
     config = RunConfig(env=EnvConfig(OTHER), rollout=rollout, algorithm=IppoConfig())
     actors = TeamActors.initial(environment_spec(config).team, config.algorithm.hidden, 0, head="gaussian")
-    _page(path, flying(config, actors, RUN, WORKER), OTHER_STEP)
+    _page(path, flying(config, actors, OTHER_RUN, WORKER), OTHER_RUN, OTHER_STEP)
 
 
-def _page(path: Path, worker: AbstractContextManager[tuple[Endpoint, ViewService]], step: int) -> None:
+def _page(path: Path, worker: AbstractContextManager[tuple[Endpoint, ViewService]], run: str, step: int) -> None:
     """Save the page at a step in the middle of an episode, as a browser shows it.
 
     Raises:
@@ -152,7 +153,7 @@ def _page(path: Path, worker: AbstractContextManager[tuple[Endpoint, ViewService
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise UsageError("there is no Chromium on the path; name one in the variable CHROMIUM.")
-    with worker as (endpoint, _), serving(endpoint, RUN) as address, sync_playwright() as driver:
+    with worker as (endpoint, _), serving(endpoint, run) as address, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
         page.goto(address)
