@@ -128,7 +128,7 @@ def serving(endpoint: Endpoint, run: str) -> Iterator[str]:
 
 
 def farm_page(path: Path) -> None:
-    """Save the page while a worker flies the policy that ships, on one farm, so that it never leaves the page waiting."""
+    """Save the page while a worker flies the policy that ships, on one farm alone, so that no page waits for others."""
     config = with_values(preset("inertial"), {"rollout.environments": 1})
     _page(path, flying(config, load_policy(shipped_file(SHOWN))[0], RUN, WORKER), RUN, STEP)
 
