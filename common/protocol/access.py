@@ -148,8 +148,8 @@ GRANTS: Final = (
 """The whole table. Everybody may see whether a learner lives, so a process can report that it is not a member."""
 
 
-NEVER_AT_SITES: Final = ("learner",)
-"""Roles for which a site's router does not speak, so that none can pass for a learner."""
+AT_SITES: Final = ("rollout",)
+"""Roles for which a site's router speaks to the main one."""
 
 
 def grants_of(role: str) -> tuple[Grant, ...]:
@@ -157,12 +157,13 @@ def grants_of(role: str) -> tuple[Grant, ...]:
     return tuple(grant for grant in GRANTS if grant.role in (role, ANYBODY))
 
 
-def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[str, Any]:
+def access_control(members: "Iterable[Identity]", enabled: bool = True, *, site: bool = False) -> dict[str, Any]:
     """Return Zenoh's `access_control` for a process that listens: default deny, and an allow-list.
 
     Args:
         members: the processes to admit; other holders of a certificate only see whether a learner lives.
         enabled: False allows everything; tests use it to show that they then fail.
+        site: whether it is a site's router, which passes on whatever the main one sends.
     """
     listed = sorted(members)
     rules: list[dict[str, Any]] = []
@@ -185,8 +186,8 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True) -> dict[
         for member in listed:
             if member.role == role:
                 allow(str(member), [g for g in mine if g.personal], member.name, [str(member)])
-    for relay, silent in (("router", ()), ("site", NEVER_AT_SITES)):
-        passed = [grant for grant in GRANTS if grant.role not in silent]
+    behind = [grant for grant in GRANTS if grant.role in (*AT_SITES, ANYBODY)]
+    for relay, passed in (("site", behind), *((("router", list(GRANTS)),) if site else ())):
         allow(relay, passed, None, [str(member) for member in listed if member.role == relay])
     return _list_of(rules, subjects, policies, enabled)
 

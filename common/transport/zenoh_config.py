@@ -85,8 +85,11 @@ def relaying(endpoint: Endpoint, lane: Lane, upper: Endpoint) -> Values:
     A lane has a link of its own there, too, so that transitions do not hold up parameters. It comes back by itself.
     """
     door, way = listening(endpoint, lane, "router"), _dialling(upper, lane)
-    links = {path: door.get(path, {}) | way.get(path, {}) for path in ("transport/link/tls",) if path in door}
-    return door | way | links | {"connect/timeout_ms": -1, "connect/exit_on_failure": False}
+    values = door | way | {"connect/timeout_ms": -1, "connect/exit_on_failure": False}
+    if endpoint.credentials is not None:
+        values["transport/link/tls"] = door["transport/link/tls"] | way["transport/link/tls"]
+        values["access_control"] = access_control(endpoint.credentials.members, site=True)
+    return values
 
 
 def _door(endpoint: Endpoint, lane: Lane) -> str:

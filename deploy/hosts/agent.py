@@ -16,7 +16,7 @@ from eia_sec.common.config.files import differences, method_of, read_saved
 from eia_sec.common.errors import ConfigError, EndpointError, HostError
 from eia_sec.common.protocol import keys
 from eia_sec.common.transport.bus import Bus
-from eia_sec.common.transport.credentials import ROUTERS, Identity
+from eia_sec.common.transport.credentials import Identity
 from eia_sec.common.transport.endpoint import Endpoint
 from eia_sec.deploy.hosts import keeper
 from eia_sec.deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
@@ -130,7 +130,7 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
 def status(
     folder: Path,
     learners: Mapping[str, Mapping[str, str]] | None = None,
-    probes: Mapping[str, Mapping[str, str]] | None = None,
+    probes: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Return the keeper's process id, the state of its processes, its alarms, and what it holds of runs.
 
@@ -138,7 +138,7 @@ def status(
         folder: the host's folder.
         learners: by the learner's name, `run`, its run's folder in that folder, and `config`, its configuration; those
             that have finished are named as "over".
-        probes: by the process's name, where to ask whether it lives, see `_lives`; those that do are named as "alive".
+        probes: by the process's name, where to ask whether it lives, see `_living`; those that do are named as "alive".
     """
     if not folder.is_dir():
         nothing = {"keeper": 0, "processes": {}, "alarms": [], "holds": "nothing", "members": {}}
@@ -153,26 +153,35 @@ def status(
         "holds": holding(folder),
         "members": member_holdings(folder),
         "over": [name for name, one in (learners or {}).items() if _is_over(folder / one["run"], one["config"])],
-        "alive": [name for name, one in (probes or {}).items() if _lives(folder, Identity.parse(name), one)],
+        "alive": _living(folder, probes or {}),
     }
 
 
-def _lives(folder: Path, who: Identity, where: Mapping[str, str]) -> bool:
-    """Return whether a listener knows a process's liveliness token, or whether a router answers.
+def _living(folder: Path, probes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return which processes live: whose liveliness token their listener knows in one of their runs.
+
+    A router has no token. It lives when it answers, a site's when a learner's token reaches it.
 
     Args:
         folder: the host's folder.
-        who: the process.
-        where: `connect`, the listener's endpoint; `run`, the process's run; `name`, its name there; `tls`, the folder
-            of its certificate, or nothing.
+        probes: for each process `connect`, the listener's endpoint; `runs`, its runs; `name`, its name there; `tls`,
+            the folder of its certificate, or nothing.
     """
-    credentials = folder / where["tls"] if where["tls"] else None
-    with (
-        suppress(EndpointError),
-        Bus.connect(Endpoint.parse(where["connect"], credentials), "control", PROBE_SECONDS) as bus,
-    ):
-        return who.role in ROUTERS or bool(bus.living(keys.LIVE.key(where["run"], role=who.role, name=where["name"])))
-    return False
+    found, silent = [], set[str]()
+    for label, where in probes.items():
+        who = Identity.parse(label)
+        if where["connect"] in silent:
+            continue
+        credentials = folder / where["tls"] if where["tls"] else None
+        try:
+            with Bus.connect(Endpoint.parse(where["connect"], credentials), "control", PROBE_SECONDS) as bus:
+                role, name = ("learner", "learner") if who.role == "site" else (who.role, where["name"])
+                tokens = (bus.living(keys.LIVE.key(run, role=role, name=name)) for run in where["runs"])
+                if who.role == "router" or any(tokens):
+                    found.append(label)
+        except EndpointError:
+            silent.add(where["connect"])
+    return found
 
 
 def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:

@@ -7,6 +7,7 @@ Everything is checked when it is read, so that no fleet is started halfway.
 """
 
 import dataclasses
+import itertools
 import re
 import shlex
 import tomllib
@@ -366,10 +367,21 @@ def _check_sites(fleet: FleetSpec) -> None:
     for name, site in fleet.sites.items():
         if not site.endpoint:
             raise ConfigError(f"sites.{name}.endpoint must say where the hosts of the site reach its router.")
+        if site.endpoint == fleet.network.endpoint:
+            raise ConfigError(f"sites.{name}.endpoint is that of the main router; a site's router has one of its own.")
+    routers = {"router": (fleet.router.host, fleet.network.endpoint)} if fleet.router is not None else {}
+    routers |= {f"sites.{name}": (site.host, site.endpoint) for name, site in fleet.sites.items()}
+    for (one, (at, met)), (other, (beside, second)) in itertools.combinations(routers.items(), 2):
+        if at == beside and abs(_port(met) - _port(second)) < 2:
+            raise ConfigError(f"{one} and {other} are on one host, and each takes two ports: its own and the next.")
     for name, host in fleet.hosts.items():
         if host.site and host.site not in fleet.sites:
             named = ", ".join(fleet.sites) or "none"
             raise ConfigError(f"hosts.{name}.site must be one of the sites ({named}), not {host.site!r}.")
+
+
+def _port(endpoint: str) -> int:
+    return Endpoint.parse(re.sub(r"^tls/", "tcp/", endpoint)).port
 
 
 def _runs(fleet: FleetSpec, config: RunConfig) -> tuple[FleetRun, ...]:

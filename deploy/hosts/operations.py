@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import time
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,9 +22,6 @@ from eia_sec.deploy.security import authority
 
 Failures = dict[str, str]
 """The reason for each host that failed."""
-ALIVE_SECONDS: Final = 300.0
-"""Longest wait until the processes of a restarted host live: some compile first."""
-LOOK_SECONDS: Final = 3.0
 NAMED: Final = 8
 """Processes that a refusal names; a fleet may have hundreds."""
 MOVE_SECONDS: Final = 3600.0
@@ -49,16 +45,16 @@ def up(fleet: FleetSpec, hosts: Collection[str] | None = None) -> tuple[dict[str
     """
     requests = {name: request_of(fleet, name) for name in fleet.hosts if hosts is None or name in hosts}
     with links(fleet) as ways:
-        asked = partial(_asked_for_runs, fleet)
-        states, failed = everywhere(ways, lambda link: _state(link, "status", {"learners": asked(link.name)}))
+        asked = partial(asked_for_runs, fleet)
+        states, failed = everywhere(ways, lambda link: state_of(link, "status", {"learners": asked(link.name)}))
         require_one_run(fleet, states, failed)
         again = starting(fleet, {name for state in states.values() for name in state["over"]})
         chosen = {name: link for name, link in ways.items() if name in requests}
-        states, failed = everywhere(chosen, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
+        states, failed = everywhere(chosen, lambda link: state_of(link, "up", {**requests[link.name], "again": again}))
     return {name: states[name] for name in fleet.hosts if name in states}, failed
 
 
-def _asked_for_runs(fleet: FleetSpec, host: str) -> dict[str, dict[str, str]]:
+def asked_for_runs(fleet: FleetSpec, host: str) -> dict[str, dict[str, str]]:
     """Return where a host would hold the runs of its learners, and their configurations, by the learner's label."""
     places = here(fleet)
     return {
@@ -133,12 +129,15 @@ def down(
     failed: Failures = {}
     with links(fleet) as every:
         ways = {name: link for name, link in every.items() if hosts is None or name in hosts}
-        states, failures = everywhere(ways, partial(_state, verb="status", request={}))
+        states, failures = everywhere(ways, partial(state_of, verb="status", request={}))
         failed |= failures
         there = {name for state in states.values() for name in state["processes"]}
         for name in names:
             if name not in there and not any(name == one.label for one in processes(fleet, here(fleet))):
                 raise no_process(fleet, name)
+        if names:  # of other hosts nothing is asked
+            places = {one.host for one in processes(fleet, here(fleet)) if one.label in names}
+            failed = {host: reason for host, reason in failed.items() if host in places}
         kept = {host: {name.split(".")[0] for name in state["processes"]} for host, state in states.items()}
         for role in ORDER:
             reachable = {host: ways[host] for host, roles in kept.items() if role in roles and host not in failed}
@@ -151,6 +150,10 @@ def down(
             for host, answer in answers.items():
                 ended += [f"{host} {name}" for name in _texts(answer.get("ended"))]
                 left += [f"{host} {name}" for name in _texts(answer.get("left"))]
+        for host, state in states.items():
+            for name in names:
+                if state["processes"].get(name, {}).get("pid") and f"{host} {name}" not in (*ended, *left):
+                    failed.setdefault(host, f"{host} has an older version, which stops no single processes.")
     return ended, left, failed
 
 
@@ -159,63 +162,6 @@ def no_process(fleet: FleetSpec, name: str) -> UsageError:
     known = [one.label for one in processes(fleet, here(fleet))]
     more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
     return UsageError(f"{fleet.path} has no process {name!r}; it has {', '.join(known[:NAMED])}{more}.")
-
-
-def restart(fleet: FleetSpec, seconds: float, *, rolling: bool, tell: Callable[[str], None]) -> None:
-    """Stop all processes and start them again; of a finished run nothing is started.
-
-    Args:
-        fleet: the fleet.
-        seconds: how long to wait for the processes of each role to stop.
-        rolling: whether one host after another is restarted, in the order of the file, each when all of the last one
-            run again; else all are at once.
-        tell: hears a sentence when a host's processes run again.
-
-    Raises:
-        HostError: a host was not reached, or a process did not stop or does not come back; what comes after it was left
-            as it is.
-        UsageError, CredentialsError: as in `up`.
-    """
-    for hosts in [[name] for name in fleet.hosts] if rolling else [list(fleet.hosts)]:
-        _, running, failed = down(fleet, seconds, kill=False, hosts=hosts)
-        _require_all(failed)
-        if running:
-            raise HostError(f"{running[0]} is still running after {seconds:g} s; nothing was started again.")
-        _, failed = up(fleet, hosts)
-        _require_all(failed)
-        count = _await_alive(fleet, hosts)
-        tell(f"{', '.join(hosts)}: {count} processes run again.")
-
-
-def _await_alive(fleet: FleetSpec, hosts: Collection[str]) -> int:
-    """Wait until all that a fleet file names on hosts lives, or has finished; return how many processes that are."""
-    named = {(one.host, one.label): one for one in processes(fleet, here(fleet)) if one.host in hosts}
-    probes = {
-        host: {label: _probe(fleet, one) for (where, label), one in named.items() if where == host} for host in hosts
-    }
-    end = time.monotonic() + ALIVE_SECONDS
-    while True:
-        with links(fleet) as every:
-            ways = {name: link for name, link in every.items() if name in hosts}
-            states, failed = everywhere(ways, lambda link: _state(link, "status", {"probes": probes[link.name]}))
-        _require_all(failed)
-        words = {(host, label): states[host]["processes"].get(label, {}).get("state") for host, label in named}
-        away = [one for one in named if words[one] != "finished" and one[1] not in states[one[0]]["alive"]]
-        if not away:
-            return len(named)
-        for host, label in away:
-            if words[host, label] == "given up" or time.monotonic() > end:
-                raise HostError(f"{label} on {host} does not come back; `eia-sec logs --process {label}` says why.")
-        time.sleep(LOOK_SECONDS)
-
-
-def _probe(fleet: FleetSpec, process: Process) -> dict[str, str]:
-    """Return where a host is to ask whether one of its processes lives."""
-    words = dict(zip(process.arguments, process.arguments[1:], strict=False))
-    own = fleet.sites[process.name].endpoint if process.role == "site" else fleet.network.endpoint
-    run = process.run.name if process.run is not None else fleet.runs[0].name
-    where = words.get("--connect", own) if process.role == "rollout" else own
-    return {"connect": where, "run": run, "name": process.identity.name, "tls": words.get("--tls", "")}
 
 
 def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
@@ -241,13 +187,13 @@ def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
         )
     target = fleet.learner.host
     with links(fleet) as ways:
-        states, failed = everywhere(ways, partial(_state, verb="status", request={}))
-        _require_all(failed)
+        states, failed = everywhere(ways, partial(state_of, verb="status", request={}))
+        require_all(failed)
         source, left = source_of_move(fleet, states)
     done = []
     if source:
         ended, running, failed = down(fleet, seconds, kill=False)
-        _require_all(failed)
+        require_all(failed)
         if running:
             raise HostError(f"{running[0]} is still running after {seconds:g} s; nothing was moved.")
         done += [f"{name} has stopped." for name in ended]
@@ -262,7 +208,7 @@ def move_learner(fleet: FleetSpec, seconds: float) -> list[str]:
     return done
 
 
-def _require_all(failed: Failures) -> None:
+def require_all(failed: Failures) -> None:
     """Raise HostError for the first host that failed."""
     for reason in failed.values():
         raise HostError(reason)
@@ -271,7 +217,7 @@ def _require_all(failed: Failures) -> None:
 def status(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Return the state of each host that was reached, and the reason for each that was not."""
     with links(fleet) as ways:
-        return everywhere(ways, partial(_state, verb="status", request={}))
+        return everywhere(ways, partial(state_of, verb="status", request={}))
 
 
 def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, str]], Failures]:
@@ -284,9 +230,11 @@ def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, 
         return everywhere(ways, ask)
 
 
-def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
+def state_of(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
     """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
     state = link.call(verb, request)
+    if request.get("probes") and "alive" not in state:
+        raise HostError(f"{link.name} has an older version, which does not say what lives; install this version there.")
     processes, alarms, members = state.get("processes"), state.get("alarms"), state.get("members", {})
     over, alive = state.setdefault("over", []), state.setdefault("alive", [])
     if not (

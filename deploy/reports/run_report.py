@@ -117,7 +117,7 @@ def shown(results: Sequence[Evaluation], references: Sequence[str]) -> list[Eval
 def next_commands(path: Path, config: RunConfig) -> list[str]:
     """Return what to type after a run, each with what it is for."""
     run, code = shlex.quote(str(path)), " ".join(shlex.quote(word) for word in code_options(config))
-    end, called = f" {code}" if code else "", program()
+    end, called = f" {code}" if code else "", shlex.quote(program())
     found = [(f"{called} evaluate --run-dir {run}{end}", f"on more {scenario_word(config)}s: --farms 1000:1100")]
     if farm_of(config) is not None:
         try:

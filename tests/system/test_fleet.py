@@ -104,7 +104,7 @@ def test_a_site_is_drained_and_restarted_host_after_host(tmp_path: Path, folders
     fleet.eia_sec("up", file)
     until(lambda: len(fleet.pids()) == len(first), "the worker")
     again = fleet.eia_sec("restart", file, "--rolling").splitlines()
-    assert again == ["one: 3 processes run again.", "two: 3 processes run again."]
+    assert again == ["one: 3 processes restarted.", "two: 3 processes restarted."]
     second = fleet.pids()
     assert set(second) == set(first)
     assert not set(second.values()) & set(first.values())
@@ -122,13 +122,21 @@ def test_a_restart_stops_at_a_host_that_does_not_come_back(tmp_path: Path, folde
     fleet.eia_sec("up", file)
     until_more(tmp_path / "one" / "run" / "history" / "learner.jsonl")
     before = fleet.pids()
+    fleet.edit('[learner]\nhost = "one"', '[learner]\nhost = "two"')
+    assert "one holds run test, and [learner] names two" in fleet.eia_sec("restart", file, code=2)
+    assert fleet.pids() == before
+    fleet.edit('[learner]\nhost = "two"', '[learner]\nhost = "one"')
     (tmp_path / "one" / "run" / "config.toml").write_text("nonsense")
     said = fleet.eia_sec("restart", file, "--rolling", code=1)
     assert "learner.learner on one does not come back" in said
+    assert f"processes of one may be stopped; `eia-sec up {file}` starts them. Not restarted: two." in said
     after = fleet.pids()
     assert {name: pid for name, pid in after.items() if ".two" in name or "site" in name} == {
         name: pid for name, pid in before.items() if ".two" in name or "site" in name
     }
+    assert "learner.learner on one is given up, and others may wait for it" in fleet.eia_sec(
+        "restart", file, "--rolling", code=2
+    )
 
 
 @pytest.mark.nightly

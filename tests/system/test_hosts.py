@@ -84,8 +84,9 @@ def test_two_routers_two_learners_and_eight_workers(tmp_path):
             all_deliver()
         fleet.eia_sec("down", file, "--process", "rollout.field-0")
         assert fleet.state("rollout.field-0") == "down"
+        fleet.eia_sec("up", file)
         said = fleet.eia_sec("restart", file, "--rolling").splitlines()
-        assert said == [f"{host}: {count} processes run again." for host, count in RESTARTED]
+        assert said == [f"{host}: {count} processes restarted." for host, count in RESTARTED]
         all_deliver()
         fleet.eia_sec("down", file)
         fleet.eia_sec("up", file)

@@ -3,6 +3,7 @@
 import datetime
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -73,7 +74,7 @@ def issued(tmp_path_factory: pytest.TempPathFactory) -> Path:
     year = datetime.timedelta(days=365)
     for name in ("learner.learner", "router.main", "site.barn"):
         authority.issue(folder, Identity.parse(name), ["127.0.0.1"], year)
-    for name in ("rollout.0", "elite.coordinator", "monitor.m"):
+    for name in ("rollout.0", "elite.coordinator", "monitor.m", "vehicle.v"):
         authority.issue(folder, Identity.parse(name), [], year)
     return folder
 
@@ -91,7 +92,7 @@ def test_a_router_changes_nothing(routed: Routed, issued: Path) -> None:
     assert audit(routed.directory / "run").clean
     routed.running["router"].terminate()
     assert routed.wait("router", 30.0) == 0
-    assert "for 6 certificates" in routed.log("router")
+    assert "for 7 certificates" in routed.log("router")
 
 
 def alive(capsys: pytest.CaptureFixture[str], routed: Routed, *arguments: str) -> tuple[int, str]:
@@ -172,14 +173,20 @@ def test_a_site_with_a_router_of_its_own(routed: Routed, issued: Path, tls: bool
     assert found.clean, found.to_dict()
 
 
-def test_a_site_cannot_pass_for_a_learner(routed: Routed, issued: Path) -> None:
-    """Who holds a site's certificate speaks for every worker, but publishes no parameters and takes no transitions."""
+def test_a_site_speaks_for_workers_alone(routed: Routed, issued: Path) -> None:
+    """Who holds its certificate speaks for every worker, and neither for a learner, an operator, nor a flight node.
+
+    A main router's certificate gives nothing to who connects with it.
+    """
     routed.keys = issued
     routed.router()
     names = ("monitor.m", "rollout.0", "site.barn", "learner.learner")
-    links = [Endpoint.parse(str(routed.endpoint), issued / name) for name in names]
+
+    def connected(name: str) -> Bus:
+        return Bus.connect(Endpoint.parse(str(routed.endpoint), issued / name), "control", 60.0)
+
     with ExitStack() as held:
-        monitor, worker, site, learner = (held.enter_context(Bus.connect(link, "control", 60.0)) for link in links)
+        monitor, worker, site, learner = (held.enter_context(connected(name)) for name in names)
         metrics, parameters = monitor.subscribe(keys.METRIC.pattern(RUN), 16), worker.subscribe_state(PARAMETERS)
         foreign, forged = site.publish(keys.METRIC.key(RUN, role="rollout", name="1")), site.publish_state(PARAMETERS)
         arrived = []
@@ -195,6 +202,17 @@ def test_a_site_cannot_pass_for_a_learner(routed: Routed, issued: Path) -> None:
         true = learner.publish_state(PARAMETERS)
         true.put(b"true")
         assert until(parameters.poll, "parameters", 30.0).payload == b"true"
+        drains, vehicle = learner.serve(keys.COMMAND.pattern(RUN), 4), held.enter_context(connected("vehicle.v"))
+        assert site.ask(keys.COMMAND.key(RUN, verb="drain"), b"", 2.0) is None
+        assert not list(drains.waiting())
+        commanded = vehicle.subscribe(keys.SETPOINT.pattern(RUN, vehicle="v"), 4)
+        routers = held.enter_context(connected("router.main"))
+        for other in (site, routers):
+            other.publish(keys.SETPOINT.key(RUN, vehicle="v")).put(b"fly")
+            other.publish_state(PARAMETERS).put(b"forged")
+        time.sleep(1.0)
+        assert not list(commanded.drain())
+        assert parameters.poll() is None
         stolen = site.serve(keys.TRANSITION.pattern(RUN), 4)
         assert worker.ask(keys.TRANSITION.key(RUN, worker="0"), b"", 2.0) is None
         assert not list(stolen.waiting())

@@ -11,8 +11,8 @@ import tyro
 from eia_sec.common.config.checks import within
 from eia_sec.common.text import printable_lines
 from eia_sec.deploy.exit_codes import DONE
-from eia_sec.deploy.hosts import operations
 from eia_sec.deploy.hosts.fleet_file import read
+from eia_sec.deploy.hosts.restart import restart
 from eia_sec.deploy.options import parse
 
 
@@ -23,7 +23,7 @@ class RestartArguments:
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
     """The fleet file."""
     rolling: bool = False
-    """One host after another, in the order of the file, each when the processes of the last one run again; the others
+    """One host after another, in the order of the file, each when the processes of the last one live again; the others
     train on meanwhile."""
     wait: float = 60.0
     """Seconds to wait for the workers, then for the coordinator, the learner and the routers in turn."""
@@ -38,5 +38,5 @@ def command(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{printable_lines(sentence)}\n")
         sys.stdout.flush()
 
-    operations.restart(read(options.file), options.wait, rolling=options.rolling, tell=tell)
+    restart(read(options.file), options.wait, rolling=options.rolling, tell=tell)
     return DONE

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from eia_sec.deploy.monitor.web.source import Source
 from eia_sec.deploy.options import parse
 
 TICK_SECONDS: Final = 0.04
+AWAY_SECONDS: Final = 10.0
+"""Time without the run after which the terminal says so: routers and learners are restarted."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +82,14 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _serve(source: Source, hub: Hub, server: WebServer, stop: StopSignal) -> None:
-    said = False
+    there, said = time.monotonic(), False
     while not stop.event.wait(TICK_SECONDS):
-        if source.ended and not said:
-            sys.stdout.write("the run has ended; the page shows what it had; Ctrl-C ends this command.\n")
+        if not source.ended:
+            there, said = time.monotonic(), False
+        elif not said and time.monotonic() - there > AWAY_SECONDS:
+            said = True
+            sys.stdout.write("nothing of the run is there any more; the page keeps what it has. Ctrl-C ends this.\n")
             sys.stdout.flush()
-        said = source.ended
         if server.failed:
             raise EiaSecError("the web server has ended: too many files are open. Start eia-sec watch again.")
         source.tend(hub.seats > 0)

@@ -226,7 +226,7 @@ def _where_to_watch(options: TrainArguments, run: Path) -> list[str]:
     lines = [f"run directory: {run}; to watch {watched} from another terminal:"]
     for reader, where in READERS.items():
         own = "" if options.tls is None else f" --tls {options.tls / f'{reader}.NAME'}"
-        lines.append(f"  {program()} {reader} {shlex.quote(str(shown))}{own}{where}")
+        lines.append(f"  {shlex.quote(program())} {reader} {shlex.quote(str(shown))}{own}{where}")
     return lines
 
 
@@ -308,7 +308,7 @@ def resume_command(options: TrainArguments, run: Path) -> str:
     more += " --shared-memory" if options.shared_memory else ""
     more += "" if options.track is None else f" --track {options.track}"
     named = [shlex.quote(word) for word in code_options(options.settings)]
-    return " ".join([f"{program()} train --run-dir {run} --resume{more}", *named])
+    return " ".join([f"{shlex.quote(program())} train --run-dir {run} --resume{more}", *named])
 
 
 def worker_count(options: TrainArguments) -> int:

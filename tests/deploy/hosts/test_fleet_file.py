@@ -137,6 +137,12 @@ def test_a_site_has_a_router_for_its_hosts(tmp_path):
         ('[router]\nhost = "a"\n', "", r"add \[router\]"),
         ('endpoint = "tls/barn:7500"\n', "", r"sites.barn.endpoint must say where"),
         ("tls/barn:7500", "nowhere", "nowhere"),
+        ("tls/barn:7500", "tls/farm:7447", "sites.barn.endpoint is that of the main router"),
+        (
+            '[sites.barn]\nhost = "b"\nendpoint = "tls/barn:7500"',
+            '[sites.barn]\nhost = "a"\nendpoint = "tls/a:7448"',
+            "two ports",
+        ),
         ('site = "barn"', 'site = "shed"', r"hosts.b.site must be one of the sites \(barn\), not 'shed'"),
         ('[sites.barn]\nhost = "b"', '[sites.barn]\nhost = "c"', "sites.barn.host must be one of the hosts a, b"),
     ],
