@@ -17,6 +17,9 @@ from eia_sec.common.transport.bus import Bus
 
 PATIENCE_SECONDS = 5.0
 """Time between two log lines of the wait for a new learner's configuration."""
+RENEW_SECONDS, LONGEST_RENEW_SECONDS = 5.0, 60.0
+"""Time without the parameters that the progress names after which they are asked for again; it doubles up to the second
+one, since a slow link needs long for them."""
 COLLECTING = ("starting", "training")
 """States of a run in which workers collect."""
 
@@ -26,7 +29,8 @@ class LearnerLink:
 
     New parameters replace the worker's actors at once. Older parameters, and those of a replaced learner, are dropped
     and counted. An imitation event changes the actors once, whether it arrives before or after the parameters that
-    contain it. `PolicyStore` does both.
+    contain it. `PolicyStore` does both. Of a state the newest value alone waits, so those of a learner that has been
+    replaced may take the place of its successor's. Then the worker asks again: that learner may wait for it in turn.
 
     A higher epoch in the progress means that a new learner has taken over. The worker asks it for its configuration and
     follows it if that is the same, but for what a resumed run may change (`eia_sec.common.config.files.method_of`).
@@ -56,6 +60,7 @@ class LearnerLink:
         self._control, self._run, self._worker = control, run, worker
         self._method = method_of(config)
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
+        self._missed, self._complete_at, self._renew_after = 0, monotonic(), RENEW_SECONDS
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(run))
         self.store = PolicyStore(team, config.module)
@@ -82,7 +87,7 @@ class LearnerLink:
     @property
     def missed(self) -> int:
         """Number of parameter messages that were lost on the way."""
-        return self._parameters.missed
+        return self._missed + self._parameters.missed
 
     def poll(self) -> None:
         """Process the messages that have arrived; raise UsageError if a new learner has another configuration."""
@@ -99,6 +104,18 @@ class LearnerLink:
         except ProtocolError as error:
             self.malformed += 1
             log(f"worker {self._worker}: dropped a message: {error}")
+        self._renew_parameters()
+
+    def _renew_parameters(self) -> None:
+        """Ask for the newest parameters again where those that the progress names do not come."""
+        now = monotonic()
+        if self.epoch == 0 or (self.store.epoch, self.store.version) >= (self.epoch, self.newest_version):
+            self._complete_at, self._renew_after = now, RENEW_SECONDS
+        elif now - self._complete_at > self._renew_after:
+            log(f"worker {self._worker} asks again for version {self.newest_version}, which has not come.")
+            self._complete_at, self._renew_after = now, min(2.0 * self._renew_after, LONGEST_RENEW_SECONDS)
+            self._missed += self._parameters.missed
+            self._parameters = self._control.subscribe_state(keys.PARAMETERS.key(self._run))
 
     def _offer(self, message: ParametersMessage) -> None:
         self._ignored = message if message.epoch < self.store.epoch else None

@@ -13,6 +13,7 @@ from eia_sec.common.protocol import keys
 from eia_sec.common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
 from eia_sec.common.protocol.messages import ConfigurationMessage, ParametersMessage, ProgressMessage
 from eia_sec.common.team import GroupSpec, TeamSpec
+from eia_sec.rollout.worker import learner_link
 from eia_sec.rollout.worker.learner_link import LearnerLink
 
 
@@ -102,3 +103,32 @@ def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while():
     assert learner.store.actors.digest() == second != first
     third = hear(9, 51, 2)
     assert (learner.epoch, learner.store.actors.digest()) == (9, third)
+
+
+def test_parameters_that_do_not_come_are_asked_for_again(monkeypatch, capsys):
+    """A replaced learner's may have taken their place, and the learner may wait for this worker; pauses grow."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(learner_link, "monotonic", lambda: clock.now)
+    team, bus, asked = TeamSpec((GroupSpec("one", 2, 3, 2),)), States(), []
+    subscribe = bus.subscribe_state
+    bus.subscribe_state = lambda key: asked.append((clock.now, key)) or subscribe(key)
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team)
+    asked.clear()
+    actors = TeamActors.initial(team, 4, 0, per_type=False)
+
+    def comes(version):
+        message = ParametersMessage(1, version, 0, 1, 0.0, team.digest, 4, "deterministic", actors.flat)
+        bus.waiting[keys.PARAMETERS.key("r")].append(message.encode())
+
+    bus.say(ProgressMessage(1, 2, 0, 0, 0, 0, "training"))
+    comes(1)
+    for clock.now in range(30):
+        learner.poll()
+    assert asked == [(6, keys.PARAMETERS.key("r")), (17, keys.PARAMETERS.key("r"))]
+    assert capsys.readouterr().err.count("worker 0 asks again for version 2, which has not come.") == 2
+    comes(2)
+    learner.poll()
+    bus.say(ProgressMessage(1, 3, 0, 0, 0, 0, "training"))
+    for clock.now in range(30, 37):
+        learner.poll()
+    assert [at for at, _ in asked] == [6, 17, 35]
