@@ -14,6 +14,7 @@ from tests.simulation.simulation import simulate
 GROUPS, SIZE = 8, 25
 """Seeds of `make test`: so many groups of so many, which run beside each other."""
 NIGHTLY = 20_000
+FAILED_ONCE = (1472,)
 FOUND_WITHIN = 1_000
 """Seeds within which each planted defect must be found."""
 QUICKLY = {
@@ -54,6 +55,12 @@ def test_every_promise_holds_under_every_seed(group):
     met: Counter[str] = Counter()
     assert failures(range(group * SIZE, (group + 1) * SIZE), met) == []
     assert len(met) >= 12, "a group of seeds should meet most kinds of faults"
+
+
+@pytest.mark.parametrize("seed", FAILED_ONCE)
+def test_what_failed_once_holds(seed):
+    """Seeds beyond the two hundred that have shown a defect of the product."""
+    assert failures(range(seed, seed + 1), Counter()) == []
 
 
 @pytest.mark.nightly
