@@ -132,9 +132,10 @@ def down(
         states, failures = everywhere(ways, partial(state_of, verb="status", request={}))
         failed |= failures
         there = {name for state in states.values() for name in state["processes"]}
+        labels = [one.label for one in processes(fleet, here(fleet))]
         for name in names:
-            if name not in there and not any(name == one.label for one in processes(fleet, here(fleet))):
-                raise no_process(fleet, name)
+            if name not in there and name not in labels:
+                raise no_process(fleet, name, labels)
         if names:  # of other hosts nothing is asked
             places = {one.host for one in processes(fleet, here(fleet)) if one.label in names}
             failed = {host: reason for host, reason in failed.items() if host in places}
@@ -157,9 +158,8 @@ def down(
     return ended, left, failed
 
 
-def no_process(fleet: FleetSpec, name: str) -> UsageError:
-    """Return what is wrong with a name that no process of a fleet has."""
-    known = [one.label for one in processes(fleet, here(fleet))]
+def no_process(fleet: FleetSpec, name: str, known: Sequence[str]) -> UsageError:
+    """Return what is wrong with a name that no process of a fleet has, beside those that there are."""
     more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
     return UsageError(f"{fleet.path} has no process {name!r}; it has {', '.join(known[:NAMED])}{more}.")
 

@@ -57,7 +57,7 @@ def _require_processes(fleet: FleetSpec, wanted: Sequence[str]) -> None:
     known = ["keeper", *(process.label for process in processes(fleet, here(fleet)))]
     strangers = [name for name in wanted if name not in known]
     if strangers and (missing := _without_log(fleet, strangers)):
-        raise operations.no_process(fleet, missing[0])
+        raise operations.no_process(fleet, missing[0], known)
 
 
 def _without_log(fleet: FleetSpec, names: Sequence[str]) -> list[str]:
