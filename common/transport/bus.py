@@ -384,16 +384,21 @@ class Bus:
         )
         return Publisher(session, made)
 
-    def subscribe_state(self, key: str) -> Subscription:
-        """Receive a state: only the latest value waits; `missed` counts values that were lost on the way."""
+    def subscribe_state(self, key: str, capacity: int = 1) -> Subscription:
+        """Receive a state: only the latest values wait; `missed` counts values that were lost on the way.
+
+        Args:
+            key: the key expression.
+            capacity: how many may wait; more than one where several may send, and all of them must be heard.
+        """
         subscriber = ext.declare_advanced_subscriber(
             self._open(),
             key,
-            zenoh.handlers.RingChannel(1),
+            zenoh.handlers.RingChannel(capacity),
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
-        return Subscription(subscriber, 1, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
+        return Subscription(subscriber, capacity, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
 
     def announce(self, key: str) -> Any:
         """Declare a liveliness token and return it; it lasts until the object or the session ends."""

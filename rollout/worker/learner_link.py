@@ -20,6 +20,9 @@ PATIENCE_SECONDS = 5.0
 RENEW_SECONDS, LONGEST_RENEW_SECONDS = 5.0, 60.0
 """Time without the parameters that the progress names after which they are asked for again; it doubles up to the second
 one, since a slow link needs long for them."""
+WAITING_PROGRESS = 8
+"""Messages of progress that wait during a chunk. Were it one, a learner that has been replaced and does not know it yet
+might hide that its successor sends, too, and be followed."""
 COLLECTING = ("starting", "training")
 """States of a run in which workers collect."""
 
@@ -62,7 +65,7 @@ class LearnerLink:
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
         self._missed, self._complete_at, self._renew_after = 0, monotonic(), RENEW_SECONDS
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
-        self._progress = control.subscribe_state(keys.PROGRESS.key(run))
+        self._progress = control.subscribe_state(keys.PROGRESS.key(run), WAITING_PROGRESS)
         self.store = PolicyStore(team, config.module)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
@@ -92,8 +95,8 @@ class LearnerLink:
     def poll(self) -> None:
         """Process the messages that have arrived; raise UsageError if a new learner has another configuration."""
         try:
-            if (sample := self._progress.poll()) is not None:
-                self._hear(ProgressMessage.decode(sample.payload))
+            for heard in self._progress.drain():
+                self._hear(ProgressMessage.decode(heard.payload))
             if self._asked is not None and self._asked.step():
                 self._meet(self._asked.result)
             if (sample := self._parameters.poll()) is not None:

@@ -351,9 +351,9 @@ class SimulatedBus:
         self._network.subscriptions.append(subscription)
         return subscription
 
-    def subscribe_state(self, key: str) -> Subscription:
+    def subscribe_state(self, key: str, capacity: int = 1) -> Subscription:
         """Receive a state, beginning with the newest value that somebody still publishes."""
-        subscription = self.subscribe(key, 1)
+        subscription = self.subscribe(key, capacity)
         for publisher in self._network.publishers:
             if matches(key, publisher.key) and publisher.count:
                 self._network.publish(publisher, subscription)

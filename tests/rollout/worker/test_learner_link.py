@@ -70,9 +70,14 @@ class States:
             yield 0.1
         return self.answer
 
-    def subscribe_state(self, key):
+    def subscribe_state(self, key, capacity=1):
         queue = self.waiting.setdefault(key, [])
-        return SimpleNamespace(poll=lambda: SimpleNamespace(payload=queue.pop(0)) if queue else None, missed=0)
+
+        def poll():
+            del queue[:-capacity]
+            return SimpleNamespace(payload=queue.pop(0)) if queue else None
+
+        return SimpleNamespace(poll=poll, drain=lambda: iter(poll, None), missed=0)
 
 
 def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while():
@@ -111,7 +116,7 @@ def test_parameters_that_do_not_come_are_asked_for_again(monkeypatch, capsys):
     monkeypatch.setattr(learner_link, "monotonic", lambda: clock.now)
     team, bus, asked = TeamSpec((GroupSpec("one", 2, 3, 2),)), States(), []
     subscribe = bus.subscribe_state
-    bus.subscribe_state = lambda key: asked.append((clock.now, key)) or subscribe(key)
+    bus.subscribe_state = lambda key, *more: asked.append((clock.now, key)) or subscribe(key, *more)
     learner = LearnerLink(bus, "r", "0", RunConfig(), team)
     asked.clear()
     actors = TeamActors.initial(team, 4, 0, per_type=False)
@@ -132,3 +137,17 @@ def test_parameters_that_do_not_come_are_asked_for_again(monkeypatch, capsys):
     for clock.now in range(30, 37):
         learner.poll()
     assert [at for at, _ in asked] == [6, 17, 35]
+
+
+def test_a_replaced_learner_does_not_hide_that_its_successor_sends_too():
+    """However seldom a worker looks, and whoever has sent last: a chunk may take longer than the fence's patience."""
+    team, bus, clock = TeamSpec((GroupSpec("one", 2, 3, 2),)), States(), SimpleNamespace(now=0.0)
+    learner = LearnerLink(bus, "r", "0", RunConfig(), team)
+    learner._fence = EpochFence(lambda: clock.now)
+    bus.say(ProgressMessage(9, 1, 0, 0, 0, 0, "training"))
+    learner.poll()
+    for clock.now in range(0, 200, 20):
+        bus.say(ProgressMessage(9, 1, 0, 0, 0, 0, "training"))
+        bus.say(ProgressMessage(7, 5, 0, 0, 0, 0, "training"))
+        learner.poll()
+        assert learner.epoch == 9
