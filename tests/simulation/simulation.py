@@ -363,10 +363,15 @@ class Simulation:
         seconds = self.draw.choice((0.5, 4.0, 12.0))
         process.frozen_until = self.world.now + seconds
         self.world.note(f"{process.name} stands still for {seconds} s")
+        self._be_silent(seconds)
 
     def _cut(self) -> None:
         node, seconds = self.draw.choice(sorted(self.processes)), self.draw.choice((0.5, 2.0, 8.0, 15.0))
         self.network.partition(node, seconds)
+        self._be_silent(seconds)
+
+    def _be_silent(self, seconds: float) -> None:
+        """Let everybody follow a learner with a lower epoch after this, if nothing is heard of one for that long."""
         if seconds > SILENT_SECONDS:
             for process in self.processes.values():
                 process.parts["may_follow_lower"] = True
