@@ -186,9 +186,11 @@ def access_control(members: "Iterable[Identity]", enabled: bool = True, *, site:
         for member in listed:
             if member.role == role:
                 allow(str(member), [g for g in mine if g.personal], member.name, [str(member)])
-    behind = [grant for grant in GRANTS if grant.role in (*AT_SITES, ANYBODY)]
-    for relay, passed in (("site", behind), *((("router", list(GRANTS)),) if site else ())):
-        allow(relay, passed, None, [str(member) for member in listed if member.role == relay])
+    passed = {"site": [grant for grant in GRANTS if grant.role in (*AT_SITES, ANYBODY)]}
+    if site:
+        passed["router"] = list(GRANTS)
+    for relay, grants in passed.items():
+        allow(relay, grants, None, [str(member) for member in listed if member.role == relay])
     return _list_of(rules, subjects, policies, enabled)
 
 

@@ -28,7 +28,6 @@ ROLES: Final = (
     "environment",
 )
 """Roles that a certificate can name; only the first four listen."""
-ROUTERS: Final = ("router", "site")
 LISTENING: Final = ("learner", "router", "site", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"
 MAX_PEM: Final = 64 * 1024

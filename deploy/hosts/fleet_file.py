@@ -102,6 +102,10 @@ class Site:
     """More names and addresses of it, for its certificate."""
 
 
+W = TypeVar("W", Network, Site)
+"""Tables of a process that others connect to."""
+
+
 @dataclass(frozen=True)
 class LearnerSpec:
     """The learner."""
@@ -328,11 +332,8 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
     if len(set(where)) < len(where):
         raise ConfigError("two hosts use the same folder on the same machine; give each its own.")
     coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or near)
-    network = fleet.network
-    met = {name: _met(site, network, f"sites.{name}") for name, site in fleet.sites.items()}
-    sites = {name: replace(site, endpoint=met[name][0], listen=met[name][1]) for name, site in fleet.sites.items()}
-    endpoint, listen = _met(network, network, "network")
-    network = replace(network, endpoint=endpoint, listen=listen)
+    network = _met(fleet.network, fleet.network, "network")
+    sites = {name: _met(site, fleet.network, f"sites.{name}") for name, site in fleet.sites.items()}
     return replace(fleet, hosts=hosts, coordinator=coordinator, network=network, sites=sites)
 
 
@@ -372,7 +373,7 @@ def _check_sites(fleet: FleetSpec) -> None:
     routers = {"router": (fleet.router.host, fleet.network.endpoint)} if fleet.router is not None else {}
     routers |= {f"sites.{name}": (site.host, site.endpoint) for name, site in fleet.sites.items()}
     for (one, (at, met)), (other, (beside, second)) in itertools.combinations(routers.items(), 2):
-        if at == beside and abs(_port(met) - _port(second)) < 2:
+        if at == beside and abs(_parsed(met).port - _parsed(second).port) < 2:
             raise ConfigError(f"{one} and {other} are on one host, and each takes two ports: its own and the next.")
     for name, host in fleet.hosts.items():
         if host.site and host.site not in fleet.sites:
@@ -380,8 +381,9 @@ def _check_sites(fleet: FleetSpec) -> None:
             raise ConfigError(f"hosts.{name}.site must be one of the sites ({named}), not {host.site!r}.")
 
 
-def _port(endpoint: str) -> int:
-    return Endpoint.parse(re.sub(r"^tls/", "tcp/", endpoint)).port
+def _parsed(endpoint: str) -> Endpoint:
+    """Return an endpoint without regard to TLS, which would need a certificate here."""
+    return Endpoint.parse(re.sub(r"^tls/", "tcp/", endpoint))
 
 
 def _runs(fleet: FleetSpec, config: RunConfig) -> tuple[FleetRun, ...]:
@@ -431,21 +433,23 @@ def _check_containers(containers: Containers) -> None:
             raise ConfigError(f"containers.{name} {value[:80]!r} is not of the form of {example}.")
 
 
-def _met(where: Network | Site, network: Network, place: str) -> tuple[str, str]:
-    """Return where a router, or the learner, is reached and where it listens, which must not let strangers in."""
+def _met(where: W, network: Network, place: str) -> W:
+    """Return a table with the protocol and the listening address of its listener, which must not let strangers in."""
     protocol = "tls" if network.keys else "tcp"
     if where.endpoint.startswith("tls/") and not network.keys:
         raise ConfigError(f"{place}.endpoint needs TLS; set network.keys to the folder of `eia-sec keys`.")
-    met = Endpoint.parse(re.sub(r"^tls/", "tcp/", where.endpoint))
+    met = _parsed(where.endpoint)
     everywhere = "[::]" if met.host.startswith("[") else "0.0.0.0"
     default = str(met) if met.is_loopback else f"tcp/{everywhere}:{met.port}"
-    listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", where.listen or default))
+    listens = _parsed(where.listen or default)
     if not network.keys and not (listens.is_loopback or network.insecure):
         raise ConfigError(
             f"listening on {listens} would let anybody who reaches it join the run; set network.keys to the folder "
             "of `eia-sec keys`, or set insecure = true if that is intended."
         )
-    return str(replace(met, protocol=protocol)), str(replace(listens, protocol=protocol))
+    return replace(
+        where, endpoint=str(replace(met, protocol=protocol)), listen=str(replace(listens, protocol=protocol))
+    )
 
 
 def _configuration(fleet: FleetSpec) -> RunConfig:

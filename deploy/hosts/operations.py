@@ -132,13 +132,13 @@ def down(
         states, failures = everywhere(ways, partial(state_of, verb="status", request={}))
         failed |= failures
         there = {name for state in states.values() for name in state["processes"]}
-        labels = [one.label for one in processes(fleet, here(fleet))]
+        places = {one.label: one.host for one in processes(fleet, here(fleet))}
         for name in names:
-            if name not in there and name not in labels:
-                raise no_process(fleet, name, labels)
+            if name not in there and name not in places:
+                raise no_process(fleet, name, list(places))
         if names:  # of other hosts nothing is asked
-            places = {one.host for one in processes(fleet, here(fleet)) if one.label in names}
-            failed = {host: reason for host, reason in failed.items() if host in places}
+            asked = {places.get(name) for name in names}
+            failed = {host: reason for host, reason in failed.items() if host in asked}
         kept = {host: {name.split(".")[0] for name in state["processes"]} for host, state in states.items()}
         for role in ORDER:
             reachable = {host: ways[host] for host, roles in kept.items() if role in roles and host not in failed}

@@ -32,7 +32,7 @@ def restart(fleet: FleetSpec, seconds: float, *, rolling: bool, tell: Callable[[
             after it were left as they were.
         UsageError, CredentialsError: as in `up`; or processes do not run that others wait for. Nothing was done.
     """
-    wanted = [one for one in processes(fleet, here(fleet)) if one.label in _startable(fleet, rolling=rolling)]
+    wanted = _startable(fleet, rolling=rolling)
     if not wanted:
         tell("the run has finished; there is nothing to restart.")
         return
@@ -50,7 +50,7 @@ def restart(fleet: FleetSpec, seconds: float, *, rolling: bool, tell: Callable[[
         tell(f"{', '.join(hosts)}: {count} process{'es' if count > 1 else ''} restarted.")
 
 
-def _startable(fleet: FleetSpec, *, rolling: bool) -> list[str]:
+def _startable(fleet: FleetSpec, *, rolling: bool) -> list[Process]:
     """Return the processes that would be started again, after all was checked that could keep them away."""
     for host in fleet.hosts:
         request_of(fleet, host)
@@ -60,10 +60,11 @@ def _startable(fleet: FleetSpec, *, rolling: bool) -> list[str]:
         )
     require_all(failed)
     require_one_run(fleet, states, failed)
-    found = starting(fleet, {name for state in states.values() for name in state["over"]})
-    for one in processes(fleet, here(fleet)) if rolling else ():
+    labels = starting(fleet, {name for state in states.values() for name in state["over"]})
+    found = [one for one in processes(fleet, here(fleet)) if one.label in labels]
+    for one in found if rolling else ():
         state = states[one.host]["processes"].get(one.label, {}).get("state", "down")
-        if one.label in found and state != "running":
+        if state != "running":
             first = f"others may wait for it; run `eia-sec up {fleet.path}` first"
             raise UsageError(f"{one.label} on {one.host} is {state}, and {first}.")
     return found

@@ -5,7 +5,7 @@ from typing import Final
 from eia_sec.common.protocol import access, keys
 from eia_sec.common.protocol.frame import MAX_FRAME
 from eia_sec.common.transport.admission import MOST_WAITING
-from eia_sec.common.transport.credentials import ROLES, ROUTERS
+from eia_sec.common.transport.credentials import ROLES
 from eia_sec.common.transport.zenoh_config import ACCEPT_MS, HANDSHAKE_MS
 from eia_sec.learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT
 from eia_sec.learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD
@@ -31,7 +31,7 @@ def limits_table() -> str:
 
 def access_table() -> str:
     """Return the access table: one row for each shape of key, one column for each role."""
-    shown = [role for role in ROLES if role not in ROUTERS]
+    shown = [role for role in ROLES if role not in ("router", "site")]
     rows: dict[str, dict[str, list[str]]] = {}
     for grant in access.GRANTS:
         for role in shown if grant.role == access.ANYBODY else [grant.role]:

@@ -26,23 +26,9 @@ workers = 1
 """
 
 LEARNING = ("learner.learner", "elite.coordinator")
-SITE = """
-[router]
-host = "one"
-[sites.barn]
-host = "two"
-endpoint = "{endpoint}"
-[learner]
-host = "one"
-[hosts.one]
-host = "local"
-folder = "one"
-[hosts.two]
-host = "local"
-folder = "two"
-workers = 2
-site = "barn"
-"""
+SITE = '[router]\nhost = "one"\n[sites.barn]\nhost = "two"\nendpoint = "{endpoint}"' + TWO.replace(
+    "workers = 1", 'workers = 2\nsite = "barn"'
+)
 
 
 @pytest.fixture

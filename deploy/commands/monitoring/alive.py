@@ -12,14 +12,13 @@ from eia_sec.common.config.checks import within
 from eia_sec.common.errors import CredentialsError, EndpointError, UsageError
 from eia_sec.common.names import check_name
 from eia_sec.common.protocol import keys
-from eia_sec.common.transport.credentials import ROUTERS
 from eia_sec.common.transport.endpoint import DEFAULT, Endpoint
 from eia_sec.deploy.exit_codes import DONE, FAILED
 from eia_sec.deploy.listener import connected
 from eia_sec.deploy.options import parse
 
-LIVING: Final = ("learner", "rollout", "elite", *ROUTERS)
-"""Roles that can be probed. Routers have no token: one is alive when it answers."""
+LIVING: Final = ("learner", "rollout", "elite", "router")
+"""Roles that can be probed. A router has no token: it is alive when it answers."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,8 @@ class AliveArguments:
     """Check whether a process is alive: exit code 0 if it is, 1 if not."""
 
     role: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
-    """learner, rollout, elite, router or site. A router, also a site's, counts as alive when any listener answers at
-    the endpoint, even a learner: its name and --run are not compared."""
+    """learner, rollout, elite or router. A router counts as alive when any listener answers at the endpoint, even a
+    learner: its name and --run are not compared."""
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
     """The process's name."""
     run: str = "farm"
@@ -55,7 +54,7 @@ def command(arguments: Sequence[str]) -> int:
     who = f"{options.role} {options.name} of run {options.run}"
     try:
         with connected(endpoint, options.patience) as bus:
-            if options.role in ROUTERS or bus.living(key):
+            if options.role == "router" or bus.living(key):
                 return _report(f"{who} is alive.", DONE)
             waiting = options.role != "learner" and not bus.living(keys.LIVE.pattern(options.run, role="learner"))
     except CredentialsError:

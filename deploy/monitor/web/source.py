@@ -141,14 +141,16 @@ class Source:
     @property
     def ended(self) -> bool:
         """Whether the run was there, and nothing of it is now."""
-        return self._met and not (self._learners or self._shown_by)
+        return self._met and self._nobody
+
+    @property
+    def _nobody(self) -> bool:
+        return not (self._learners or self._shown_by)
 
     def _absent(self) -> str:
         """Return why there is nobody to watch."""
-        if self.ended:
-            return f"Run {self._run} has ended."
-        if not (self._learners or self._shown_by):
-            return f"Waiting for run {self._run}: none of it is there."
+        if self._nobody:
+            return f"Run {self._run} has ended." if self._met else f"Waiting for run {self._run}: none of it is there."
         return f"Waiting for {f'worker {self._wanted}' if self._wanted else 'a worker'} of run {self._run}."
 
     def _keep_asking(self, worker: str, now: float) -> None:
